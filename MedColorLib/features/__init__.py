@@ -1,0 +1,91 @@
+"""Stage *features*: grey slices -> five maps of features, coarse layers for meaning, fine layers for detail.
+
+| name | features | needs |
+| --- | --- | --- |
+| `embedded` | modality-independent self-similarity descriptors over a pyramid | nothing: the default without download |
+| `vgg19` | VGG-19 relu1_1 ... relu5_1, luminance in all three planes (the paper, Liao et al. 2017) | weights |
+| `gray-vgg19` | VGG-19 with batch normalisation trained on luminance (He et al. 2018) | weights |
+
+`auto` takes `vgg19` where its weights are found, else `embedded`, and says which.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Protocol
+
+from ..errors import SettingsError, WeightsError
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+EXTRACTORS = ("embedded", "vgg19", "gray-vgg19")
+
+# How strongly body-relative position and grey join the features: (position, luminance); 1 counts as much as the features.
+# The embedded descriptors know neither, so both count more there (self-pairs of the benchmark).
+CONTEXT_WEIGHTS = {"embedded": (1.0, 1.0), "vgg19": (0.5, 0.5), "gray-vgg19": (0.5, 0.5)}
+
+
+class Extractor(Protocol):
+    """What a feature network offers.
+
+    Attributes:
+        name: one of EXTRACTORS.
+    """
+
+    name: str
+
+    def extract(self, luminance: Tensor, layers: Sequence[int]) -> dict[int, Tensor]:
+        """(N, 1, H, W) float32 display grey 0..1, H and W multiples of 16 -> layer l: (N, C, H / 2^(l-1), W / 2^(l-1)).
+
+        Only the layers asked for (1 finest .. 5 coarsest) are returned, and nothing deeper is computed.
+        """
+        ...
+
+    def descriptor(self, luminance: Tensor) -> Tensor:
+        """(N, 1, H, W) -> (N, D): one vector per slice for the recommendation of references."""
+        ...
+
+
+def choose_features(name: str) -> str:
+    """Resolve `auto`; check that a named network exists.
+
+    Raises:
+        SettingsError: unknown name.
+        WeightsError: the network was asked for by name and its weights are not here.
+    """
+    if name not in ("auto", *EXTRACTORS):
+        raise SettingsError(f"features: {name!r} is not one of auto, {', '.join(EXTRACTORS)}")
+    if name == "embedded":
+        return name
+    from .weights import find_weights
+
+    if name == "auto":
+        return "vgg19" if find_weights("vgg19") is not None else "embedded"
+    if find_weights(name) is None:
+        raise WeightsError(
+            f"features {name}: no weights found; run 'medcolor weights fetch {name}', set MEDCOLOR_WEIGHTS to a file or "
+            "folder that holds them, or use --features embedded"
+        )
+    return name
+
+
+def make_extractor(name: str, device: str = "cpu") -> Extractor:
+    """Build the extractor `name` (already resolved by `choose_features`) on a torch device."""
+    if name == "embedded":
+        from .embedded import Embedded
+
+        return Embedded()
+    from .weights import find_weights, load_weights
+
+    found = find_weights(name)
+    if found is None:
+        raise WeightsError(f"features {name}: the weights disappeared; run 'medcolor weights fetch {name}'")
+    weights = load_weights(found.path)
+    if name == "vgg19":
+        from .vgg19 import VGG19
+
+        return VGG19(weights, device=device)
+    from .gray_vgg19 import GrayVGG19
+
+    return GrayVGG19(weights, device=device)

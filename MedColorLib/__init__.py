@@ -1,0 +1,62 @@
+"""MedColor: grey medical volumes in the colours of real anatomy. Headless library; the Slicer module is in `MedColor/`.
+
+The data's way, one file a stage, one folder a choice of alternatives:
+
+| stage | file | takes -> gives |
+| --- | --- | --- |
+| volume in | `volume_io`, `volume` | file -> `Volume` (k, j, i) with its place in space |
+| slices | `slices`, `body`, `intensity`, `reference`, `grid` | volume -> transverse slices, body masks, display grey 0..1 on one raster |
+| plan | `prepare`, `plan` | what will be done, what is left out and why |
+| contrast | `contrast` | scan's grey -> the photograph's contrast, for matching only |
+| features | `features/` | grey slice -> five maps |
+| correspondence | `correspondence/`, `analogy`, `reconstruction`, `vote` | two lists of maps -> field -> matched colours T' |
+| colour | `color/`, `filters/`, `transfer` | T' and the scan's luminance -> sRGB slice |
+| volume out | `volume_io`, `report` | `ColorVolume` -> NRRD or NIfTI, JSON report |
+| rendering | `rendering/` | `ColorVolume` -> pictures |
+
+`pipeline.colorize` is the map: one call per stage. Nothing heavy is imported until it is used.
+
+>>> from MedColorLib import Settings
+>>> Settings(preset="draft").resolved_smoother
+'regression'
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+__version__ = "0.1.0"
+
+_WHERE = {
+    "ColorVolume": "volume",
+    "Plan": "plan",
+    "Settings": "parameters",
+    "Volume": "volume",
+    "colorize": "pipeline",
+    "fast_global_smoother": "filters",
+    "make_plan": "pipeline",
+    "read_color_volume": "volume_io",
+    "read_volume": "volume_io",
+    "write_color_volume": "volume_io",
+}
+
+__all__ = sorted(_WHERE)
+
+if TYPE_CHECKING:
+    from .filters import fast_global_smoother
+    from .parameters import Settings
+    from .pipeline import colorize, make_plan
+    from .plan import Plan
+    from .volume import ColorVolume, Volume
+    from .volume_io import read_color_volume, read_volume, write_color_volume
+
+
+def __getattr__(name: str):
+    if name not in _WHERE:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f".{_WHERE[name]}", __name__), name)
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])

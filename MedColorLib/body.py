@@ -1,0 +1,144 @@
+"""Stage *body*: which voxels belong to the patient, which slices are empty, where to crop."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .errors import InputError
+from .intensity import finite_sample
+
+_WORK_SIDE = 256  # in-plane pixels at which the outline is found; finer adds noise and time, not outline
+
+
+@dataclass(frozen=True)
+class Body:
+    """Body mask at reduced resolution and what follows from it.
+
+    Attributes:
+        coarse: (k, h, w) bool at reduced in-plane resolution.
+        shape: (k, j, i) of the volume.
+        threshold: value that separates air from tissue.
+        boxes: (k, 4) int, [j0, j1, i0, i1) per slice in full pixels; all zero where the slice is empty.
+    """
+
+    coarse: np.ndarray
+    shape: tuple[int, int, int]
+    threshold: float
+    boxes: np.ndarray
+
+    @property
+    def slices(self) -> np.ndarray:
+        """Indices k of slices that hold body."""
+        return np.flatnonzero(self.boxes[:, 1] > self.boxes[:, 0])
+
+    def plane(self, k: int) -> np.ndarray:
+        """(j, i) float32 0..1: coverage by the body, smooth at the outline; 0.5 is the outline."""
+        import cv2
+
+        _, rows, cols = self.shape
+        return cv2.resize(self.coarse[k].astype(np.float32), (cols, rows), interpolation=cv2.INTER_LINEAR)
+
+
+def otsu_threshold(values: np.ndarray, bins: int = 512) -> float:
+    """Otsu's threshold of 1-D finite values: maximal variance between two classes."""
+    low, high = float(values.min()), float(values.max())
+    counts, edges = np.histogram(values, bins=bins, range=(low, high))
+    centres = (edges[:-1] + edges[1:]) / 2
+    weight = np.cumsum(counts).astype(np.float64)
+    moment = np.cumsum(counts * (centres - low))
+    rest = weight[-1] - weight
+    with np.errstate(divide="ignore", invalid="ignore"):
+        between = (moment[-1] * weight / weight[-1] - moment) ** 2 / (weight * rest)
+    between = np.nan_to_num(between, nan=0.0, posinf=0.0)
+    best = np.flatnonzero(between >= between.max() * (1 - 1e-12))
+    return float(edges[1 + int(best.mean())])  # the middle of a plateau: empty bins between two classes tie
+
+
+def find_body(array: np.ndarray) -> Body:
+    """Outline the patient: Otsu between air and tissue, largest connected part, holes filled slice by slice.
+
+    The table, foam, skin markers and noise are left out: they are fainter than tissue or not connected to it. Air inside
+    the outline (lungs, sinuses) counts as body, so that it is not mistaken for background; it stays black by its
+    luminance.
+
+    Args:
+        array: (k, j, i) scalars, rows and columns in the transverse plane.
+
+    Raises:
+        InputError: nothing stands out of the background.
+    """
+    from scipy import ndimage
+
+    sample = finite_sample(array)
+    low, high = np.percentile(sample, [0.5, 99.5])
+    if low == high:
+        low, high = sample.min(), sample.max()
+    clipped = np.clip(sample, low, high)
+    threshold = otsu_threshold(clipped)
+    coarse = _coarse_planes(array, low, high) > threshold
+    coarse = _largest_parts(_opened(coarse))
+    if not coarse.any():
+        raise InputError("body: nothing stands out of the background; check the volume or give a window")
+    radius = max(1, round(max(coarse.shape[1:]) / 64))
+    for k in range(len(coarse)):
+        if coarse[k].any():
+            coarse[k] = _filled(coarse[k], radius, ndimage)
+    return Body(coarse, array.shape, threshold, _boxes(coarse, array.shape))
+
+
+def _coarse_planes(array: np.ndarray, low: float, high: float) -> np.ndarray:
+    import cv2
+
+    rows, cols = array.shape[1:]
+    scale = min(1.0, _WORK_SIDE / max(rows, cols))
+    size = (max(1, round(cols * scale)), max(1, round(rows * scale)))
+    out = np.empty((len(array), size[1], size[0]), np.float32)
+    for k, plane in enumerate(array):
+        values = np.nan_to_num(np.clip(plane.astype(np.float64), low, high), nan=low).astype(np.float32)
+        values = cv2.resize(values, size, interpolation=cv2.INTER_AREA) if scale < 1 else values
+        out[k] = cv2.GaussianBlur(values, (0, 0), 0.7)  # single noisy pixels do not make outline
+    return out
+
+
+def _opened(mask: np.ndarray) -> np.ndarray:
+    """Cut thin bridges (head holder, sheets, lines) off; kept as it is where that would leave nothing."""
+    import cv2
+
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
+    opened = np.stack([cv2.morphologyEx(plane.astype(np.uint8), cv2.MORPH_OPEN, kernel) > 0 for plane in mask])
+    return opened if opened.any() else mask
+
+
+def _largest_parts(mask: np.ndarray, fraction: float = 0.1) -> np.ndarray:
+    """The largest 3-D connected part, and others (arms) of at least `fraction` of its size."""
+    from scipy import ndimage
+
+    labels, count = ndimage.label(mask)
+    if count <= 1:
+        return mask
+    sizes = np.bincount(labels.ravel())
+    sizes[0] = 0
+    return (sizes >= fraction * sizes.max())[labels]
+
+
+def _filled(plane: np.ndarray, radius: int, ndimage) -> np.ndarray:
+    """Close gaps of the outline up to `radius` pixels (nostrils, orbits), fill what is inside."""
+    import cv2
+
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
+    padded = np.pad(plane.astype(np.uint8), 2 * radius)
+    closed = cv2.morphologyEx(padded, cv2.MORPH_CLOSE, kernel)[2 * radius : -2 * radius, 2 * radius : -2 * radius]
+    return ndimage.binary_fill_holes(closed > 0)
+
+
+def _boxes(coarse: np.ndarray, shape: tuple[int, int, int]) -> np.ndarray:
+    scale = np.array([shape[1] / coarse.shape[1], shape[2] / coarse.shape[2]])
+    boxes = np.zeros((len(coarse), 4), np.int64)
+    for k, plane in enumerate(coarse):
+        rows, cols = np.flatnonzero(plane.any(1)), np.flatnonzero(plane.any(0))
+        if rows.size:
+            boxes[k, :2] = np.floor(rows[0] * scale[0]), np.ceil((rows[-1] + 1) * scale[0])
+            boxes[k, 2:] = np.floor(cols[0] * scale[1]), np.ceil((cols[-1] + 1) * scale[1])
+    return boxes

@@ -1,0 +1,196 @@
+"""The command line `medcolor`: parse, call the library, one clear line for what went wrong.
+
+Exit status: 0 done, 2 bad input or arguments, 130 interrupted. Nothing half-written is left in any case.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from . import __version__
+from .errors import Cancelled, MedColorError
+from .parameters import FEATURES, LUMINANCE, PRESETS, RECONSTRUCTIONS, SMOOTHERS
+
+log = logging.getLogger("MedColor")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit status."""
+    arguments = _parser().parse_args(argv)
+    logging.basicConfig(level=logging.DEBUG if arguments.verbose else logging.WARNING, format="medcolor: %(message)s")
+    try:
+        arguments.run(arguments)
+    except MedColorError as error:
+        print(f"medcolor: {error}", file=sys.stderr)
+        return 2
+    except (KeyboardInterrupt, Cancelled):
+        print("medcolor: interrupted; nothing was written", file=sys.stderr)
+        return 130
+    except BrokenPipeError:  # the reader of our output went away, as `| head` does
+        return 0
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="medcolor",
+        description="Colour grey medical volumes after a colour photograph of real anatomy. An illustration, not a measurement.",
+    )
+    parser.add_argument("--version", action="version", version=f"medcolor {__version__}")
+    parser.add_argument("-v", "--verbose", action="store_true", help="say what is being decided")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    _add_colorize(commands)
+    _add_render(commands)
+    _add_weights(commands)
+    demo = commands.add_parser("demo", help="colour and render a sample made by formula: needs no download")
+    demo.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help="folder for the results")
+    demo.set_defaults(run=_demo)
+    return parser
+
+
+def _add_colorize(commands) -> None:
+    command = commands.add_parser("colorize", help="colour a volume")
+    add = command.add_argument
+    add("input", metavar="INPUT", help="NRRD, MetaImage, NIfTI, DICOM folder, or folder of PNG/TIFF slices")
+    add("-r", "--reference", action="append", required=True, metavar="REF", help="colour picture or folder; may be repeated")
+    add("-o", "--output", metavar="OUT", help="result: .nrrd or .nii.gz (not needed with --plan)")
+    add("--preset", choices=tuple(PRESETS), default="balanced", help="how deep to go (default: %(default)s)")
+    add("--features", choices=FEATURES, default="auto", help="feature network (default: VGG-19 where present, else embedded)")
+    add("--smoother", choices=SMOOTHERS, default="auto", help="how colour is spread (default: the preset's)")
+    add("--luminance", choices=LUMINANCE, default="keep", help="the scan's own, or the reference's as in the paper")
+    add("--gamma", choices=("on", "off"), default="on", help="transfer between gamma 1/2 and 2 (default: %(default)s)")
+    add("--reconstruction", choices=RECONSTRUCTIONS, default="warp", help="features one layer down (default: %(default)s)")
+    add("--window", nargs=2, type=float, metavar=("LO", "HI"), help="values shown black and white")
+    add("--slices", type=_slice_range, metavar="A:B", help="transverse slices from A up to B, counted from the feet")
+    add("--plane", choices=("transverse", "acquired"), default="transverse", help="slices to colour (default: %(default)s)")
+    add("--device", default="auto", help="auto, cpu, cuda, cuda:N or mps (default: %(default)s)")
+    add("--seed", type=int, default=0, metavar="N", help="of the random search (default: %(default)s)")
+    add("--plan", action="store_true", help="print what would be done and left out, and stop")
+    add("--report", type=Path, metavar="F.json", help="write settings, plan, seconds, memory and hashes")
+    command.set_defaults(run=_colorize)
+
+
+def _add_render(commands) -> None:
+    command = commands.add_parser("render", help="picture of a coloured volume: views and sections")
+    command.add_argument("volume", metavar="VOLUME", help="RGB volume as written by colorize")
+    command.add_argument("-o", "--output", type=Path, required=True, metavar="PNG")
+    command.add_argument("--grey", metavar="INPUT", help="the grey volume, to stand beside the colours")
+    command.add_argument("--size", nargs=2, type=int, default=(1600, 1200), metavar=("W", "H"))
+    command.set_defaults(run=_render)
+
+
+def _add_weights(commands) -> None:
+    command = commands.add_parser("weights", help="network weights: where they are, download")
+    actions = command.add_subparsers(required=True, metavar="ACTION")
+    status = actions.add_parser("status", help="say what is present")
+    status.set_defaults(run=_weights_status)
+    fetch = actions.add_parser("fetch", help="download, check and convert; resumes a broken download")
+    fetch.add_argument("network", nargs="?", choices=("vgg19", "gray-vgg19"), default="vgg19")
+    fetch.set_defaults(run=_weights_fetch)
+
+
+def _slice_range(text: str) -> tuple[int, int]:
+    start, separator, stop = text.partition(":")
+    if not separator or not start.isdigit() or not stop.isdigit():
+        raise argparse.ArgumentTypeError(f"expected A:B with whole numbers, got {text!r}")
+    return int(start), int(stop)
+
+
+def _colorize(arguments) -> None:
+    from .parameters import Settings
+    from .pipeline import colorize, make_plan
+    from .report import write_report
+    from .volume_io import check_output_path, file_sha256, read_volume, write_color_volume
+
+    names = ("preset", "features", "smoother", "luminance", "reconstruction", "slices", "plane", "device", "seed")
+    options = {name: getattr(arguments, name) for name in names}
+    window = tuple(arguments.window) if arguments.window else None
+    settings = Settings(**options, gamma=arguments.gamma == "on", window=window)
+    if not arguments.plan:
+        _check_outputs(arguments, check_output_path)
+    volume = read_volume(arguments.input)
+    for note in volume.notes:
+        print(f"medcolor: {volume.name}: {note}", file=sys.stderr)
+    if arguments.plan:
+        print(make_plan(volume, arguments.reference, settings).text())
+        return
+    with _Bar("colouring") as bar:
+        result = colorize(volume, arguments.reference, settings, progress=bar)
+    result.report["input"]["file_sha256"] = file_sha256(arguments.input)
+    write_color_volume(result, arguments.output)
+    if arguments.report:
+        write_report(result.report, arguments.report)
+    seconds = result.report["seconds"]["total"]
+    print(f"{arguments.output}: {len(result.report['plan']['slices'])} slices with {result.report['plan']['features']} "
+          f"features in {seconds:.1f} s. The colours are an illustration, not a measurement.")
+
+
+def _check_outputs(arguments, check_output_path: Callable) -> None:
+    from .errors import OutputError, SettingsError
+
+    if not arguments.output:
+        raise SettingsError("colorize: name the result with -o OUT.nrrd (or use --plan)")
+    check_output_path(arguments.output)
+    if arguments.report and not arguments.report.absolute().parent.is_dir():
+        raise OutputError(f"report {arguments.report}: the folder does not exist; create it first")
+
+
+def _render(arguments) -> None:
+    from .rendering import render_to_png
+    from .volume_io import read_color_volume, read_volume
+
+    color = read_color_volume(arguments.volume)
+    grey = read_volume(arguments.grey) if arguments.grey else None
+    render_to_png(arguments.output, color, grey, size=tuple(arguments.size))
+    print(arguments.output)
+
+
+def _weights_status(_arguments) -> None:
+    from .features.weights import cache_folder, weights_status
+
+    for row in weights_status():
+        state = f"present: {row['path']}" if row["present"] else row["problem"] or "not here"
+        print(f"{row['network']:<12} {state}")
+    print(f"cache folder {cache_folder()}; MEDCOLOR_WEIGHTS names another file or folder")
+
+
+def _weights_fetch(arguments) -> None:
+    from .features.weights import fetch_weights
+
+    with _Bar(arguments.network) as bar:
+        path = fetch_weights(arguments.network, progress=lambda got, total: bar(got / max(total, 1), "downloading"))
+    print(path)
+
+
+def _demo(arguments) -> None:
+    from .demo import run_demo
+
+    with _Bar("demo") as bar:
+        written = run_demo(arguments.output, progress=bar)
+    for path in written:
+        print(path)
+
+
+class _Bar:
+    """Progress bar with time left on the error stream; called with (fraction, text)."""
+
+    def __init__(self, title: str) -> None:
+        self._title = title
+
+    def __enter__(self) -> _Bar:
+        from tqdm import tqdm
+
+        form = "{desc}: {percentage:3.0f}%|{bar}| {elapsed} gone, {remaining} left{postfix}"
+        self._bar = tqdm(total=1.0, desc=self._title, bar_format=form, leave=False, disable=None)
+        return self
+
+    def __call__(self, fraction: float, text: str) -> None:
+        self._bar.set_postfix_str(text, refresh=False)
+        self._bar.update(fraction - self._bar.n)
+
+    def __exit__(self, *_exception) -> None:
+        self._bar.close()

@@ -1,0 +1,98 @@
+"""From L*a*b* to sRGB bytes without false hues, and the power-law gamma of the colour transfer."""
+
+from __future__ import annotations
+
+from numbers import Real
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..errors import InputError, SettingsError
+from .lab import _namespace, lab_to_srgb
+
+if TYPE_CHECKING:
+    from .lab import Array
+
+HALF_LEVEL = 0.5 / 255.0  # components this far outside 0..1 still round to 0 or 255
+_LARGEST = 1e6
+_HALVINGS = 12  # chroma to 1/4096 of the wish: below the rounding to bytes
+
+
+def _require_usable(lab: Array) -> None:
+    """Refuse NaN, infinity, and magnitudes whose cubes would leave float32."""
+    xp = _namespace(lab)
+    bad = int((~(xp.abs(lab) <= _LARGEST)).sum())
+    if bad:
+        size = int(np.prod(lab.shape))
+        raise InputError(f"L*a*b*: {bad} of {size} values are NaN, infinite or beyond {_LARGEST:g}; replace them first")
+
+
+def _outside(srgb: Array) -> Array:
+    """Whether any component of (..., 3) lies more than half a level outside 0..1."""
+    return ((srgb < -HALF_LEVEL) | (srgb > 1.0 + HALF_LEVEL)).any(-1)
+
+
+def _reduced_chroma(lab: Array) -> Array:
+    """sRGB floats (M, 3) of the largest share of each colour's chroma that fits the gamut; L* and hue stay."""
+    xp = _namespace(lab)
+    low, high = lab[:, :1] * 0.0, lab[:, :1] * 0.0 + 1.0
+    best = lab_to_srgb(xp.concatenate([lab[:, :1], lab[:, 1:] * low], -1))
+    for _ in range(_HALVINGS):
+        share = 0.5 * (low + high)
+        srgb = lab_to_srgb(xp.concatenate([lab[:, :1], lab[:, 1:] * share], -1))
+        outside = _outside(srgb)[:, None]
+        best = xp.where(outside, best, srgb)
+        low, high = xp.where(outside, low, share), xp.where(outside, share, high)
+    return best
+
+
+def lab_to_srgb_in_gamut(lab: Array) -> tuple[Array, int]:
+    """L*a*b* to sRGB bytes; colours outside the gamut keep L* and hue and lose chroma.
+
+    Clipping each of R, G, B would shift the hue instead. L* is first limited to 0..100; L* = 0 is black, whatever its
+    chroma. Rounded, not truncated.
+
+    Args:
+        lab: (..., 3) floats, numpy or torch.
+
+    Returns:
+        sRGB (..., 3) uint8 of the same kind and device, and the number of colours changed: those with a component more
+        than half a level (0.5/255) outside 0..1, which rounding alone would not bring back, and coloured blacks.
+
+    Raises:
+        InputError: wrong shape or dtype; NaN, infinite values or values beyond 1e6 (counted).
+    """
+    xp = _namespace(lab)
+    _require_usable(lab)
+    srgb = lab_to_srgb(lab)
+    flat, wanted = srgb.reshape(-1, 3), lab.reshape(-1, 3)
+    black = wanted[:, 0] <= 0.0
+    outside = _outside(flat) | (black & (flat > HALF_LEVEL).any(-1))
+    changed = int(outside.sum())
+    if changed:
+        wanted = wanted[outside]
+        flat[outside] = _reduced_chroma(xp.concatenate([xp.clip(wanted[:, :1], 0.0, 100.0), wanted[:, 1:]], -1))
+        flat[black] = 0.0
+    rounded = xp.round(xp.clip(flat.reshape(lab.shape), 0.0, 1.0) * 255.0)
+    return (rounded.astype(np.uint8) if xp is np else rounded.to(xp.uint8)), changed
+
+
+def _checked_gamma(gamma: float) -> float:
+    if isinstance(gamma, bool) or not isinstance(gamma, Real) or not 0.01 <= gamma <= 100.0:
+        raise SettingsError(f"gamma: expected a number from 0.01 to 100, got {gamma!r}")
+    return float(gamma)
+
+
+def gamma_encode(values: Array, gamma: float = 0.5) -> Array:
+    """max(values, 0) ** gamma, any shape, values in 0..1. Negative values, which have no real power, count as 0.
+
+    Raises:
+        SettingsError: gamma not a number from 0.01 to 100.
+    """
+    gamma = _checked_gamma(gamma)
+    return _namespace(values).clip(values, 0.0, None) ** gamma
+
+
+def gamma_decode(values: Array, gamma: float = 0.5) -> Array:
+    """The inverse of `gamma_encode` with the same gamma: max(values, 0) ** (1 / gamma)."""
+    return gamma_encode(values, 1.0 / _checked_gamma(gamma))

@@ -1,0 +1,26 @@
+"""Compute devices: names a user may give, checked before any work."""
+
+from __future__ import annotations
+
+from .errors import DeviceError
+
+
+def choose_device(name: str) -> str:
+    """Resolve "auto" (CUDA, else Apple's MPS, else the CPU) and check that a named device exists.
+
+    Raises:
+        DeviceError: unknown name, or a device this machine or this build of torch does not have.
+    """
+    import torch
+
+    mps = getattr(torch.backends, "mps", None)
+    has_mps = bool(mps and mps.is_available())
+    if name == "auto":
+        return "cuda" if torch.cuda.is_available() else "mps" if has_mps else "cpu"
+    if name == "cpu" or (name == "mps" and has_mps):
+        return name
+    kind, _, index = name.partition(":")
+    if kind == "cuda" and torch.cuda.is_available() and (not index or (index.isdigit() and int(index) < torch.cuda.device_count())):
+        return name
+    present = ["cpu"] + [f"cuda:{i}" for i in range(torch.cuda.device_count())] + (["mps"] if has_mps else [])
+    raise DeviceError(f"device {name!r} is not here; present: {', '.join(present)}. Use --device auto or one of these")

@@ -1,0 +1,141 @@
+"""Local regression on luminance: colour as a function of grey within a neighbourhood.
+
+The matched colours are averaged in a bilateral grid (x, y, grey) and read back with the slice's own grey, like the
+bilateral grid of Chen, Paris, Durand (2007) used as an estimator: matching decides *which* colours belong to a region,
+the slice's grey decides *where* each of them goes. Cells with little support borrow from cells four times as large, and
+those from the whole slice, so no pixel is left without a colour and single wrong matches are outvoted.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .checks import count_in_range, number_in_range
+
+
+@dataclass(frozen=True)
+class RegressionParameters:
+    """Parameters of the local regression.
+
+    Attributes:
+        cell_px: side of the finest cells in pixels of the matching raster.
+        bins: grey levels of the grid over the guide's range 0..255.
+        support_px: pixels of evidence at which a cell counts as much as the coarser ones around it.
+        levels: how many times the cells are coarsened by two before the whole slice.
+    """
+
+    cell_px: float = 8.0
+    bins: int = 32
+    support_px: float = 4.0
+    levels: int = 3
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "cell_px", number_in_range("cell_px", self.cell_px, 1, 1e6))
+        object.__setattr__(self, "bins", count_in_range("bins", self.bins, 2, 1024))
+        object.__setattr__(self, "support_px", number_in_range("support_px", self.support_px, 0, 1e9, above_low=True))
+        object.__setattr__(self, "levels", count_in_range("levels", self.levels, 0, 8))
+
+
+def smooth(source: np.ndarray, guide: np.ndarray, parameters: RegressionParameters | None = None) -> np.ndarray:
+    """Regress `source` (H, W, C) on `guide` (H, W) 0..255 and return it at the guide's pixels; float32, same shape."""
+    model = fit(source, guide, np.ones(guide.shape, np.float32), parameters or RegressionParameters())
+    return predict(model, guide)
+
+
+def fit(source: np.ndarray, guide: np.ndarray, weight: np.ndarray, parameters: RegressionParameters) -> np.ndarray:
+    """Estimate the grid of mean colours.
+
+    Args:
+        source: (H, W, C). guide: (H, W), 0..255. weight: (H, W), 0 or more: trust in each pixel, 0 leaves it out.
+
+    Returns:
+        (rows, columns, bins, C) float32; defined everywhere.
+    """
+    sums = _splat(source, guide, weight, parameters)
+    sums = _blur(sums)
+    return _shrink(sums, parameters.support_px, parameters.levels).astype(np.float32)
+
+
+def predict(model: np.ndarray, guide: np.ndarray) -> np.ndarray:
+    """Read the grid at every pixel of `guide` (h, w), whose size may differ from the one fitted: (h, w, C) float32."""
+    import torch
+
+    height, width = guide.shape
+    rows, cols, bins, _ = model.shape
+    volume = torch.from_numpy(np.ascontiguousarray(model)).permute(3, 2, 0, 1)[None]  # (1, C, bins, rows, cols)
+    y = torch.linspace(0, 1, height) if height > 1 else torch.full((1,), 0.5)
+    x = torch.linspace(0, 1, width) if width > 1 else torch.full((1,), 0.5)
+    # The grid has one cell of margin on every side; pixel centres map to cell coordinates 0.5 .. n - 1.5.
+    y = ((0.5 + y * (rows - 2)) * 2 / (rows - 1) - 1).view(-1, 1).expand(-1, width)
+    x = ((0.5 + x * (cols - 2)) * 2 / (cols - 1) - 1).view(1, -1).expand(height, -1)
+    z = torch.from_numpy(np.clip(guide, 0, 255).astype(np.float32)) * (2 / 255) - 1
+    where = torch.stack([x, y, z], -1)[None, None]
+    out = torch.nn.functional.grid_sample(volume, where, mode="bilinear", padding_mode="border", align_corners=True)
+    return out[0, :, 0].permute(1, 2, 0).numpy()
+
+
+def _splat(source, guide, weight, parameters):
+    """(rows, cols, bins, C + 1): weighted sums of colour and of weight, spread linearly over the nearest cells."""
+    height, width = guide.shape
+    rows, cols = max(2, round(height / parameters.cell_px)) + 2, max(2, round(width / parameters.cell_px)) + 2
+    bins, channels = parameters.bins, source.shape[2]
+    y = 0.5 + np.linspace(0, 1, height) * (rows - 2) if height > 1 else np.full(1, (rows - 1) / 2)
+    x = 0.5 + np.linspace(0, 1, width) * (cols - 2) if width > 1 else np.full(1, (cols - 1) / 2)
+    keep = weight.ravel() > 0
+    y, x = np.repeat(y, width)[keep], np.tile(x, height)[keep]
+    z = np.clip(guide, 0, 255).ravel()[keep].astype(np.float64) * ((bins - 1) / 255)
+    values = np.concatenate([source.reshape(-1, channels), np.ones((guide.size, 1))], 1)[keep]
+    values = values * weight.ravel()[keep, None]
+    sums = np.zeros((rows * cols * bins, channels + 1))
+    for dy, wy in _corners(y, rows):
+        for dx, wx in _corners(x, cols):
+            for dz, wz in _corners(z, bins):
+                index = (dy * cols + dx) * bins + dz
+                share = wy * wx * wz
+                for c in range(channels + 1):
+                    sums[:, c] += np.bincount(index, values[:, c] * share, minlength=len(sums))
+    return sums.reshape(rows, cols, bins, channels + 1)
+
+
+def _corners(position: np.ndarray, size: int):
+    low = np.minimum(position.astype(np.int64), size - 2)
+    fraction = position - low
+    return (low, 1 - fraction), (low + 1, fraction)
+
+
+def _blur(sums: np.ndarray) -> np.ndarray:
+    from scipy.ndimage import gaussian_filter1d
+
+    for axis in range(3):
+        sums = gaussian_filter1d(sums, 1.0, axis=axis, mode="nearest")
+    return sums
+
+
+def _shrink(sums: np.ndarray, support: float, levels: int) -> np.ndarray:
+    """Mean colour per cell, drawn towards coarser cells, then the slice's curve, then its mean, where support is thin."""
+    from scipy.ndimage import zoom
+
+    overall = sums.sum((0, 1, 2))
+    mean = overall[:-1] / max(overall[-1], 1e-300)
+    curve = sums.sum((0, 1))
+    curve = (curve[:, :-1] + support * mean) / (curve[:, -1:] + support)
+    pyramid = [sums]
+    for _ in range(levels):
+        if min(pyramid[-1].shape[:2]) < 4:
+            break
+        pyramid.append(_halved(pyramid[-1]))
+    estimate = np.broadcast_to(curve, (*pyramid[-1].shape[:3], curve.shape[1]))
+    for level in reversed(pyramid):
+        if estimate.shape[:2] != level.shape[:2]:
+            factors = (level.shape[0] / estimate.shape[0], level.shape[1] / estimate.shape[1], 1, 1)
+            estimate = zoom(estimate, factors, order=1, mode="nearest", grid_mode=True)
+        estimate = (level[..., :-1] + support * estimate) / (level[..., -1:] + support)
+    return estimate
+
+
+def _halved(sums: np.ndarray) -> np.ndarray:
+    rows, cols = sums.shape[:2]
+    padded = np.pad(sums, ((0, rows % 2), (0, cols % 2), (0, 0), (0, 0)))
+    return padded.reshape((rows + 1) // 2, 2, (cols + 1) // 2, 2, *sums.shape[2:]).sum((1, 3))

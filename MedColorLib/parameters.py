@@ -1,0 +1,135 @@
+"""What a user can choose, with ranges and defaults. One frozen dataclass; a wrong value raises with the remedy."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass, fields, replace
+
+from .errors import SettingsError
+
+FEATURES = ("auto", "vgg19", "gray-vgg19", "embedded")
+SMOOTHERS = ("auto", "regression", "fgs", "guided", "domain-transform", "wls")
+LUMINANCE = ("keep", "paper")
+RECONSTRUCTIONS = ("warp", "lbfgs")
+
+
+@dataclass(frozen=True)
+class Preset:
+    """How deep to go.
+
+    Attributes:
+        grid_px: side of the raster on which slices are matched.
+        stop_layer: last layer of the analogy, 5 (coarsest) to 1.
+        smoother: what `smoother="auto"` means.
+        context: whether body-relative position and grey join the features (they are not in the paper).
+    """
+
+    grid_px: int
+    stop_layer: int
+    smoother: str
+    context: bool
+
+
+PRESETS = {
+    "draft": Preset(grid_px=160, stop_layer=3, smoother="regression", context=True),
+    "balanced": Preset(grid_px=256, stop_layer=3, smoother="regression", context=True),
+    "full": Preset(grid_px=256, stop_layer=1, smoother="fgs", context=False),
+}
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Parameters of `colorize`.
+
+    Attributes:
+        preset: "draft", "balanced" or "full" (the paper's five layers).
+        features: "auto" takes VGG-19 where its weights are present, else the embedded features.
+        smoother: "auto" takes the preset's; "regression" (colour as a function of luminance within a neighbourhood),
+            "fgs" (the paper), "guided", "domain-transform", "wls".
+        luminance: "keep" leaves the scan's own; "paper" lets the reference's through as the paper's equation does.
+        gamma: colour transfer between gamma 1/2 and 2 (the paper, section 4.1).
+        window: (low, high) in the volume's units, or None for the file's window or robust percentiles.
+        slices: (start, stop) of transverse slices to colour, counted from the feet; None for all. Others stay black.
+        plane: "transverse", or "acquired" to take the array's first axis as the stack.
+        device: "auto", "cpu", "cuda", "cuda:1", "mps".
+        seed: of the random search, 0 .. 2^63 - 1.
+        reconstruction: how features come one layer down: "warp" (the reference's own finer features) or "lbfgs" (the
+            deconvolution of Liao et al.).
+        batch: slices that go through the network together.
+    """
+
+    preset: str = "balanced"
+    features: str = "auto"
+    smoother: str = "auto"
+    luminance: str = "keep"
+    gamma: bool = True
+    window: tuple[float, float] | None = None
+    slices: tuple[int, int] | None = None
+    plane: str = "transverse"
+    device: str = "auto"
+    seed: int = 0
+    reconstruction: str = "warp"
+    batch: int = 4
+
+    def __post_init__(self) -> None:
+        _one_of("preset", self.preset, tuple(PRESETS))
+        _one_of("features", self.features, FEATURES)
+        _one_of("smoother", self.smoother, SMOOTHERS)
+        _one_of("luminance", self.luminance, LUMINANCE)
+        _one_of("plane", self.plane, ("transverse", "acquired"))
+        _one_of("reconstruction", self.reconstruction, RECONSTRUCTIONS)
+        if self.window is not None:
+            object.__setattr__(self, "window", _window(self.window))
+        if self.slices is not None:
+            object.__setattr__(self, "slices", _range(self.slices))
+        if not isinstance(self.seed, int) or not 0 <= self.seed < 2**63:
+            raise SettingsError(f"seed: expected a whole number from 0 to 2^63 - 1, got {self.seed!r}")
+        if not isinstance(self.batch, int) or self.batch < 1:
+            raise SettingsError(f"batch: expected a whole number of at least 1, got {self.batch!r}")
+
+    @property
+    def resolved_smoother(self) -> str:
+        """The smoother after `auto` has been replaced."""
+        return PRESETS[self.preset].smoother if self.smoother == "auto" else self.smoother
+
+    def to_dict(self) -> dict:
+        """Plain data, JSON-ready."""
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, data: dict) -> Settings:
+        """The inverse of `to_dict`.
+
+        Raises:
+            SettingsError: an unknown key or a wrong value.
+        """
+        known = {field.name for field in fields(cls)}
+        unknown = sorted(set(data) - known)
+        if unknown:
+            raise SettingsError(f"settings: unknown {', '.join(unknown)}; known are {', '.join(sorted(known))}")
+        return replace(cls(), **data)
+
+
+def _one_of(name: str, value: object, allowed: tuple[str, ...]) -> None:
+    if value not in allowed:
+        raise SettingsError(f"{name}: {value!r} is not one of {', '.join(allowed)}")
+
+
+def _window(value) -> tuple[float, float]:
+    try:
+        low, high = (float(v) for v in value)
+    except (TypeError, ValueError) as error:
+        raise SettingsError(f"window: expected two numbers LO HI, got {value!r}") from error
+    if not (math.isfinite(low) and math.isfinite(high) and low < high):
+        raise SettingsError(f"window: expected finite LO < HI, got {low:g} {high:g}")
+    return low, high
+
+
+def _range(value) -> tuple[int, int]:
+    try:
+        start, stop = (int(v) for v in value)
+    except (TypeError, ValueError) as error:
+        raise SettingsError(f"slices: expected START and STOP, got {value!r}") from error
+    if not 0 <= start < stop:
+        raise SettingsError(f"slices: expected 0 <= START < STOP, got {start}:{stop}")
+    return start, stop

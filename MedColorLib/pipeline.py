@@ -1,0 +1,283 @@
+"""The pipeline, stage by stage: volume -> slices -> contrast -> features -> correspondence -> colour -> volume."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import time
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+from contextlib import contextmanager
+
+import numpy as np
+
+from .errors import Cancelled, DeviceError
+from .features import CONTEXT_WEIGHTS
+from .grid import continue_outwards, to_grid
+from .intensity import apply_curve, apply_window
+from .parameters import PRESETS, Settings
+from .plan import Plan
+from .prepare import Prepared, prepare, sample_slices
+from .reference import Reference
+from .volume import ColorVolume, Volume
+
+log = logging.getLogger("MedColor")
+
+Progress = Callable[[float, str], None]
+
+
+def make_plan(volume: Volume, references: Sequence, settings: Settings | None = None) -> Plan:
+    """What `colorize` would do with these arguments, and what it would leave out; takes seconds at most."""
+    return prepare(volume, references, settings or Settings()).plan
+
+
+def colorize(
+    volume: Volume,
+    references: Sequence,
+    settings: Settings | None = None,
+    progress: Progress | None = None,
+    cancelled: Callable[[], bool] | None = None,
+) -> ColorVolume:
+    """Colour a grey volume after colour references.
+
+    Args:
+        volume: scalars (k, j, i); never altered.
+        references: paths of colour pictures or folders, or (h, w, 3) uint8 RGB arrays. With several, each slice takes
+            the one most like it.
+        settings: see `Settings`.
+        progress: called with the fraction done (0..1) and a short text.
+        cancelled: asked between batches of slices; True raises `Cancelled`.
+
+    Returns:
+        RGB volume on the same grid, black outside the body, with a report. The colours are an illustration, not a
+        measurement.
+
+    Raises:
+        InputError, SettingsError, WeightsError, DeviceError: with the remedy in the message.
+        Cancelled: nothing was written.
+    """
+    run = _Run(progress, cancelled)
+    with run.timed("prepare"):
+        run.step(0.0, "preparing")
+        prepared = prepare(volume, references, settings or Settings())
+    rgb = np.zeros((*volume.array.shape, 3), np.uint8)
+    with run.timed("network"):
+        run.step(0.02, f"loading {prepared.plan.features} features")
+        engine = _Engine(prepared, run)
+    stack = prepared.order.view(rgb)
+    clipped = _color_slices(prepared, engine, stack, run)
+    run.step(1.0, "done")
+    report = _report(prepared, engine, run, clipped)
+    return ColorVolume(rgb, volume.ijk_to_ras, report, f"{volume.name} colored")
+
+
+class _Run:
+    """Progress, cancellation and seconds per stage of one run."""
+
+    def __init__(self, progress: Progress | None, cancelled: Callable[[], bool] | None) -> None:
+        self.seconds: dict[str, float] = defaultdict(float)
+        self.started = time.perf_counter()
+        self._progress, self._cancelled = progress, cancelled
+
+    def step(self, fraction: float, text: str) -> None:
+        if self._cancelled is not None and self._cancelled():
+            raise Cancelled
+        if self._progress is not None:
+            self._progress(fraction, text)
+
+    @contextmanager
+    def timed(self, stage: str):
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[stage] += time.perf_counter() - start
+
+
+class _ReferenceOnGrid:
+    """A reference brought to the grid, with its features computed once."""
+
+    def __init__(self, reference: Reference, engine: _Engine) -> None:
+        import torch
+
+        from .color.lab import lightness_to_gray, srgb_to_lab
+
+        self.name = reference.name
+        lab = srgb_to_lab(reference.rgb.astype(np.float64) / 255)
+        # background colour must not bleed into the outline when pixels are averaged
+        lab = continue_outwards(lab, reference.mask)
+        mask = to_grid(reference.mask, engine.grid) > 0.5
+        on_grid = continue_outwards(to_grid(lab, engine.grid), mask)
+        self.mask = mask
+        self.grey = (lightness_to_gray(on_grid[..., 0].astype(np.float64)) * mask).astype(np.float32)
+        self.lab = torch.from_numpy(on_grid.astype(np.float32)).permute(2, 0, 1)[None].to(engine.device)
+        self.luminance = torch.from_numpy(self.grey)[None, None].to(engine.device)
+        self.features = engine.extractor.extract(self.luminance, engine.layers)
+        self.mask_tensor = torch.from_numpy(mask).to(engine.device)
+        self.contrast = None
+
+
+class _Engine:
+    """The network, the references' features and the contrast curves: everything that slices share."""
+
+    def __init__(self, prepared: Prepared, run: _Run) -> None:
+        from .features import make_extractor
+        from .reconstruction import make_reconstruction
+
+        self.prepared, self.run = prepared, run
+        self.settings, self.grid, self.device = prepared.settings, prepared.grid, prepared.plan.device
+        preset = PRESETS[self.settings.preset]
+        self.stop_layer, self.uses_context = preset.stop_layer, preset.context
+        self.layers = tuple(range(5, self.stop_layer - 1, -1))
+        self.extractor = make_extractor(prepared.plan.features, self.device)
+        self.reconstruct = make_reconstruction(self.settings.reconstruction, self.extractor)
+        self.references = [_ReferenceOnGrid(r, self) for r in prepared.references]
+        self.choice = self._choose_references()
+        with run.timed("contrast"):
+            for index in sorted(set(self.choice.values())):
+                self._learn_contrast(index)
+
+    def slice_on_grid(self, k: int) -> tuple[np.ndarray, np.ndarray]:
+        """Display grey and body mask (H, W) of slice k on the grid."""
+        grey, cover = self.slice_in_box(k)
+        mask = to_grid(cover, self.grid) > 0.5
+        return to_grid(grey * (cover > 0.5), self.grid) * mask, mask
+
+    def slice_in_box(self, k: int) -> tuple[np.ndarray, np.ndarray]:
+        """Display grey (rows, cols) and body coverage 0..1 of slice k, cut to the body's box, at full resolution."""
+        j0, j1, i0, i1 = self.prepared.body.boxes[k]
+        grey = apply_window(self.prepared.view[k, j0:j1, i0:i1], self.prepared.window)
+        return grey, self.prepared.body.plane(k)[j0:j1, i0:i1]
+
+    def match(self, ks: Sequence[int], index: int):
+        """Matched colours T' of slices `ks` after reference `index`: greys, masks (N, H, W), Lab (N, H, W, 3)."""
+        import torch
+
+        from .analogy import Context, deep_image_analogy
+        from .vote import matched_colors
+
+        reference = self.references[index]
+        greys, masks = (np.stack(parts) for parts in zip(*(self.slice_on_grid(k) for k in ks)))
+        matched = apply_curve(greys, reference.contrast.curve) * masks
+        luminance = torch.from_numpy(matched)[:, None].to(self.device)
+        with self.run.timed("features"):
+            features = self.extractor.extract(luminance, self.layers)
+        context = None
+        if self.uses_context:
+            position, grey = CONTEXT_WEIGHTS[self.extractor.name]
+            context = Context(position, grey * reference.contrast.trust, luminance, reference.luminance)
+        with self.run.timed("matching"):
+            match = deep_image_analogy(
+                features, reference.features, torch.from_numpy(masks).to(self.device), reference.mask_tensor,
+                self.stop_layer, context, self.reconstruct, seed=self.settings.seed,
+            )
+            self.searched = match.searched
+            lab = matched_colors(match.field, match.layer, reference.lab)
+        return greys, masks, lab.permute(0, 2, 3, 1).float().cpu().numpy()
+
+    def _learn_contrast(self, index: int) -> None:
+        import torch
+
+        from .analogy import deep_image_analogy
+        from .contrast import match_contrast
+
+        reference = self.references[index]
+        own = [k for k, chosen in self.choice.items() if chosen == index]
+        greys, masks = (np.stack(parts) for parts in zip(*(self.slice_on_grid(k) for k in sample_slices(own))))
+        mask_tensor = torch.from_numpy(masks).to(self.device)
+
+        def coarse_similarity(candidate: np.ndarray) -> float:
+            features = self.extractor.extract(torch.from_numpy(candidate)[:, None].to(self.device), (5,))
+            found = deep_image_analogy(features, reference.features, mask_tensor, reference.mask_tensor, 5)
+            inside = torch.nn.functional.adaptive_avg_pool2d(mask_tensor.float(), found.similarity.shape[1:]) > 0.5
+            return float(found.similarity[inside].mean()) if inside.any() else 0.0
+
+        reference.contrast = match_contrast(greys, masks, reference.grey, reference.mask, coarse_similarity)
+        log.info("contrast for %s: %s", reference.name, reference.contrast.describe())
+
+    def _choose_references(self) -> dict[int, int]:
+        """Slice -> index of its reference: the only one, or the one whose descriptor is nearest (cosine)."""
+        slices = self.prepared.plan.slices
+        if len(self.references) == 1:
+            return dict.fromkeys(slices, 0)
+        import torch
+
+        with self.run.timed("recommendation"):
+            library = torch.cat([self.extractor.descriptor(r.luminance) for r in self.references]).float()
+            library = library / library.norm(dim=1, keepdim=True).clamp_min(1e-12)
+            choice = {}
+            for k in slices:
+                plane = torch.from_numpy(self.slice_on_grid(k)[0])[None, None].to(self.device)
+                choice[k] = int((library @ self.extractor.descriptor(plane).float()[0]).argmax())
+        return choice
+
+
+def _color_slices(prepared: Prepared, engine: _Engine, stack: np.ndarray, run: _Run) -> int:
+    """Fill `stack` (slice, row, col, 3); return how many pixels were drawn into the gamut."""
+    slices = [k for k in prepared.plan.slices if k not in prepared.repeats]
+    clipped, done, batch = 0, 0, prepared.settings.batch
+    for index in sorted(set(engine.choice.values())):
+        own = [k for k in slices if engine.choice[k] == index]
+        position = 0
+        while position < len(own):
+            ks = own[position : position + batch]
+            run.step(0.05 + 0.94 * done / len(slices), f"slice {done + 1} of {len(slices)}")
+            try:
+                clipped += _color_batch(prepared, engine, stack, ks, index, run)
+            except DeviceError:
+                if batch == 1:
+                    raise
+                batch = max(1, batch // 2)
+                log.warning("device memory is short: batches of %d slices from here on", batch)
+                continue
+            position, done = position + len(ks), done + len(ks)
+    for k, source in prepared.repeats.items():
+        stack[k] = stack[source]
+    return clipped
+
+
+def _color_batch(prepared, engine, stack, ks, index, run) -> int:
+    from .transfer import TransferParameters, transfer
+
+    parameters = TransferParameters(prepared.plan.smoother, prepared.settings.luminance, prepared.settings.gamma)
+    greys, masks, matched = engine.match(ks, index)
+    clipped = 0
+    with run.timed("colour"):
+        for n, k in enumerate(ks):
+            grey, cover = engine.slice_in_box(k)
+            rgb, count = transfer(grey, cover > 0.5, matched[n], greys[n], masks[n], prepared.grid, parameters)
+            j0, j1, i0, i1 = prepared.body.boxes[k]
+            stack[k, j0:j1, i0:i1] = rgb
+            clipped += count
+    return clipped
+
+
+def _report(prepared: Prepared, engine: _Engine, run: _Run, clipped: int) -> dict:
+    from .report import environment, peak_memory_mb
+
+    volume = prepared.volume
+    used = sorted(set(engine.choice.values()))
+    return {
+        "notice": "Illustration: the colours are not a measurement.",
+        "input": {
+            "name": volume.name,
+            "sha256": hashlib.sha256(np.ascontiguousarray(volume.array).data).hexdigest(),
+            "shape_kji": list(volume.array.shape),
+            "dtype": str(volume.array.dtype),
+            "ijk_to_ras": volume.ijk_to_ras.tolist(),
+            "notes": list(volume.notes),
+        },
+        "references": [
+            {"name": r.name, "sha256": hashlib.sha256(r.rgb.tobytes()).hexdigest(), "removed_fraction": r.removed}
+            for r in prepared.references
+        ],
+        "reference_of_slice": {str(k): prepared.references[i].name for k, i in engine.choice.items()},
+        "contrast": {engine.references[i].name: engine.references[i].contrast.describe() for i in used},
+        "settings": prepared.settings.to_dict(),
+        "plan": prepared.plan.to_dict(),
+        "searched": {str(k): v for k, v in engine.searched.items()},
+        "seconds": {**{k: round(v, 4) for k, v in run.seconds.items()}, "total": round(time.perf_counter() - run.started, 4)},
+        "peak_memory_mb": peak_memory_mb(),
+        "out_of_gamut_pixels": clipped,
+        "environment": environment(prepared.plan.device),
+    }

@@ -1,0 +1,180 @@
+"""Stage *prepare*: everything that is decided before computing: order, body, window, references, device, plan."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from .body import Body, find_body
+from .device import choose_device
+from .errors import InputError, SettingsError
+from .features import choose_features
+from .grid import Grid, choose_grid
+from .intensity import Window, check_values, choose_window
+from .parameters import PRESETS, Settings
+from .plan import LeftOut, Plan
+from .reference import Reference, prepare_reference, read_picture
+from .slices import SliceOrder, slice_order
+from .volume import Volume
+
+log = logging.getLogger("MedColor")
+
+SAMPLE_SLICES = 7  # slices from which window and contrast curve are taken
+_NETWORK_DEPTHS = {5: "coarsest layer", 1: "all five layers"}
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """What `colorize` needs to start; nothing in it is a copy of the volume."""
+
+    volume: Volume
+    settings: Settings
+    order: SliceOrder
+    view: np.ndarray
+    body: Body
+    window: Window
+    references: tuple[Reference, ...]
+    grid: Grid
+    repeats: dict[int, int]
+    plan: Plan
+
+
+def load_references(references: Sequence) -> tuple[Reference, ...]:
+    """Prepare references given as paths (a folder stands for all pictures in it) or (h, w, 3) uint8 RGB arrays.
+
+    Raises:
+        InputError: none given, or one that cannot be used.
+    """
+    if isinstance(references, (str, Path, np.ndarray)):
+        references = [references]
+    prepared: list[Reference] = []
+    for number, item in enumerate(references):
+        if isinstance(item, np.ndarray):
+            prepared.append(prepare_reference(item, f"reference {number + 1}"))
+            continue
+        for path in _pictures(Path(item)):
+            prepared.append(prepare_reference(read_picture(str(path)), path.stem))
+    if not prepared:
+        raise InputError("references: none given; name at least one colour picture (-r REF)")
+    return tuple(prepared)
+
+
+def _pictures(path: Path) -> list[Path]:
+    if not path.is_dir():
+        return [path]
+    found = sorted(p for p in path.iterdir() if p.suffix.lower() in (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp"))
+    if not found:
+        raise InputError(f"reference folder {path.name}: holds no picture (PNG, JPEG or TIFF)")
+    return found
+
+
+def prepare(volume: Volume, references: Sequence, settings: Settings) -> Prepared:
+    """Decide everything; see `Prepared`.
+
+    Raises:
+        InputError, SettingsError, WeightsError, DeviceError: with the remedy in the message.
+    """
+    note = check_values(volume.array, volume.name)
+    features = choose_features(settings.features)
+    if settings.reconstruction == "lbfgs" and features == "embedded":
+        raise SettingsError("reconstruction lbfgs inverts a network; the embedded features have none: use warp or vgg19")
+    device = choose_device(settings.device)
+    prepared_references = load_references(references)
+    order = slice_order(volume.ijk_to_ras, settings.plane)
+    view = order.view(volume.array)
+    body = find_body(view)
+    chosen = _chosen_slices(body, settings, len(view))
+    window = _window(view, body, chosen, volume, settings)
+    grid = choose_grid(PRESETS[settings.preset].grid_px)
+    repeats = _repeats(view, chosen)
+    plan = _plan(volume, settings, order, view, body, chosen, window, prepared_references, grid, repeats, features, device)
+    if note:
+        plan.steps["volume"] += f"; {note}"
+    return Prepared(volume, settings, order, view, body, window, prepared_references, grid, repeats, plan)
+
+
+def sample_slices(slices: Sequence[int], count: int = SAMPLE_SLICES) -> list[int]:
+    """At most `count` evenly spread members of `slices`, ends left out where there are enough."""
+    if len(slices) <= count:
+        return list(slices)
+    positions = (np.arange(count) + 0.5) * len(slices) / count
+    return [slices[int(p)] for p in positions]
+
+
+def _chosen_slices(body: Body, settings: Settings, count: int) -> list[int]:
+    start, stop = settings.slices or (0, count)
+    if start >= count:
+        raise SettingsError(f"slices {start}:{stop}: the volume has {count} slices (0:{count})")
+    chosen = [int(k) for k in body.slices if start <= k < stop]
+    if not chosen:
+        raise InputError(f"slices {start}:{stop}: no body in this range; body was found in {body.slices[0]}:{body.slices[-1] + 1}")
+    return chosen
+
+
+def _window(view, body, chosen, volume, settings) -> Window:
+    sample = sample_slices(chosen, 24)
+    masks = np.stack([body.plane(k) > 0.5 for k in sample])
+    return choose_window(view[sample], masks if masks.any() else None, settings.window, volume.window)
+
+
+def _repeats(view: np.ndarray, chosen: list[int]) -> dict[int, int]:
+    """Slice -> earlier neighbouring slice with exactly the same values."""
+    repeats: dict[int, int] = {}
+    for before, k in zip(chosen, chosen[1:]):
+        if k == before + 1 and np.array_equal(view[k], view[before]):
+            repeats[k] = repeats.get(before, before)
+    return repeats
+
+
+def _plan(volume, settings, order, view, body, chosen, window, references, grid, repeats, features, device) -> Plan:
+    preset, smoother = PRESETS[settings.preset], settings.resolved_smoother
+    boxes = body.boxes[chosen]
+    cropped = float(((boxes[:, 1] - boxes[:, 0]) * (boxes[:, 3] - boxes[:, 2])).sum()) / (len(chosen) * view[0].size)
+    network = {"embedded": "embedded descriptors (no download)", "vgg19": "VGG-19", "gray-vgg19": "gray VGG-19"}[features]
+    layers = "layer 5" if preset.stop_layer == 5 else f"layers 5 to {preset.stop_layer}"
+    steps = {
+        "volume": f"{volume.name}, {' x '.join(map(str, volume.array.shape))} (k, j, i) {volume.array.dtype}; {order.describe()}",
+        "window": f"{window.low:g} to {window.high:g} ({window.source})",
+        "body": f"{len(chosen)} of {len(view)} slices, values above {body.threshold:g}",
+        "references": "; ".join(f"{r.name} ({100 * r.removed:.0f} % removed as not tissue)" for r in references),
+        "features": f"{network}{' (auto)' if settings.features == 'auto' else ''}, {layers}, raster {grid.height} x {grid.width}, on {device}",
+        "matching": "both directions, exhaustive" + (" at layers 5 to 3, PatchMatch below" if preset.stop_layer < 3 else ""),
+        "colour": f"{smoother}; luminance {'of the scan' if settings.luminance == 'keep' else 'of the reference (paper)'}; "
+        f"gamma {'1/2 and 2' if settings.gamma else 'off'}",
+    }
+    left_out = _left_out(settings, preset, smoother, features, view, body, chosen, references, repeats, cropped)
+    return Plan(steps, left_out, tuple(chosen), features, device, smoother)
+
+
+def _left_out(settings, preset, smoother, features, view, body, chosen, references, repeats, cropped) -> list[LeftOut]:
+    entries = []
+    empty = len(view) - len(body.slices)
+    if empty:
+        entries.append(LeftOut("empty slices", "no body in them; they stay black", f"{empty} of {len(view)} slices"))
+    outside = len(body.slices) - len(chosen)
+    if outside:
+        entries.append(LeftOut("slices outside the range", "not asked for; they stay black", f"{outside} slices"))
+    entries.append(LeftOut("air around the body", "each slice is cut to its body's box", f"{100 * (1 - cropped):.0f} % of the pixels"))
+    if repeats:
+        entries.append(LeftOut("repeated slices", "same values as their neighbour; its colours are copied", f"{len(repeats)} slices"))
+    if preset.stop_layer > 1:
+        below = ", ".join(str(layer) for layer in range(preset.stop_layer - 1, 0, -1))
+        entries.append(LeftOut(f"layers {below}", "they change the colour little (see the benchmark)", "over nine tenths of the matching", "about 0.1 to 0.3 CIEDE2000"))
+    entries.append(LeftOut("reverse map of the last layer", "nothing reads it", "one of two searches"))
+    if settings.reconstruction == "warp" and features != "embedded":
+        entries.append(LeftOut("L-BFGS deconvolution", "the reference's own finer features are warped instead; --reconstruction lbfgs brings it back", "an optimisation per layer and direction", "see the benchmark"))
+    if len(references) == 1:
+        entries.append(LeftOut("recommendation (fc6)", "the reference was given", "411 MB of weights" if features == "vgg19" else "one descriptor per slice"))
+    if len(chosen) > 1:
+        entries.append(LeftOut("reference features for every slice", "computed once for all slices", f"{len(chosen) - 1} of {len(chosen)} extractions"))
+    if settings.luminance == "keep":
+        entries.append(LeftOut("smoothing of L*", "the scan's own luminance is kept", "a third of the smoothing"))
+    entries.append(LeftOut("second smoothing solve", "S(T') - S(T) = S(T' - T), the smoother is linear", "half of the smoothing"))
+    if smoother == "regression":
+        entries.append(LeftOut("FGS", "colour is regressed on luminance instead; --smoother fgs brings it back", "a solve per channel and slice"))
+    entries.append(LeftOut("alpha volume", "renderers derive opacity from luminance", "a third of the output"))
+    return entries

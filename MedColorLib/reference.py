@@ -1,0 +1,150 @@
+"""Stage *reference*: a colour photograph becomes tissue colours and a mask that tells tissue from everything else."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .errors import InputError
+
+
+@dataclass(frozen=True)
+class Reference:
+    """A prepared colour reference, cut to its tissue.
+
+    Attributes:
+        rgb: (h, w, 3) uint8 sRGB, cropped to the tissue's bounding box.
+        mask: (h, w) bool, True where the pixel is tissue.
+        name: label for reports (file name without folder).
+        removed: fraction of the photograph that is not tissue.
+    """
+
+    rgb: np.ndarray
+    mask: np.ndarray
+    name: str
+    removed: float
+
+
+def read_picture(path: str) -> np.ndarray:
+    """Read a colour picture as (h, w, 3) uint8 sRGB.
+
+    Raises:
+        InputError: missing, unreadable, or a grey picture (a reference must have colour).
+    """
+    import os
+
+    import cv2
+
+    name = os.path.basename(path)
+    if not os.path.isfile(path):
+        raise InputError(f"reference: no file {path}")
+    try:
+        with open(path, "rb") as stream:
+            data = np.frombuffer(stream.read(), np.uint8)
+    except OSError as error:
+        raise InputError(f"reference {name}: cannot be read ({error.strerror}); check the permissions") from error
+    picture = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
+    if picture is None:
+        raise InputError(f"reference {name}: not a picture that can be read; use PNG, JPEG or TIFF")
+    if picture.ndim == 2:
+        raise InputError(f"reference {name}: a grey picture; the reference must be a colour photograph (RGB)")
+    if picture.dtype != np.uint8:
+        picture = np.rint(picture / np.iinfo(picture.dtype).max * 255).astype(np.uint8)
+    if picture.shape[2] == 4:  # transparent is not tissue: the mask takes black at the border as background
+        picture = np.where(picture[..., 3:] > 127, picture[..., :3], 0).astype(np.uint8)
+    return np.ascontiguousarray(picture[..., ::-1])
+
+
+def prepare_reference(rgb: np.ndarray, name: str = "reference") -> Reference:
+    """Cut the tissue out of a photograph.
+
+    Removes what is not tissue in the Visible Human photographs: blue gelatin (also inside the sinuses), tray, labels and
+    the grey scale; and a plain background of any one colour in atlases and drawings.
+
+    Args:
+        rgb: (h, w, 3) uint8 sRGB.
+
+    Raises:
+        InputError: wrong shape or type, no colour in it, or less than 1 % tissue.
+    """
+    rgb = np.asarray(rgb)
+    if rgb.ndim != 3 or rgb.shape[2] != 3 or rgb.dtype != np.uint8:
+        raise InputError(f"reference {name}: expected an RGB picture (h, w, 3) of uint8, got {rgb.dtype} {rgb.shape}")
+    if int(np.ptp(rgb.astype(np.int16), axis=2).max()) <= 2:
+        raise InputError(f"reference {name}: the picture has no colour; use a colour photograph")
+    mask = tissue_mask(rgb)
+    fraction = float(mask.mean())
+    if fraction < 0.01:
+        raise InputError(
+            f"reference {name}: no tissue found ({100 * fraction:.1f} % of the picture); "
+            "use a section on a plain or blue background that fills the picture"
+        )
+    rows, cols = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
+    box = np.s_[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1]
+    return Reference(np.ascontiguousarray(rgb[box]), np.ascontiguousarray(mask[box]), name, 1 - fraction)
+
+
+def tissue_mask(rgb: np.ndarray) -> np.ndarray:
+    """(h, w) bool, True on tissue: not background, not blue; large, warm-coloured parts; small holes filled.
+
+    A hole is filled only when it is not blue: dark lumina (vessels, airways) are tissue, gelatin in a sinus is not.
+    """
+    import cv2
+    from scipy import ndimage
+
+    scale = min(1.0, 512 / max(rgb.shape[:2]))
+    size = (max(1, round(rgb.shape[1] * scale)), max(1, round(rgb.shape[0] * scale)))
+    small = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA) if scale < 1 else rgb
+    lab = cv2.cvtColor(small.astype(np.float32) / 255, cv2.COLOR_RGB2LAB)
+    blue = _gelatin(lab)
+    solid = ~blue & ~_background(lab, blue)
+    solid = cv2.morphologyEx(solid.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0
+    parts = _tissue_parts(solid, lab)
+    filled = ndimage.binary_fill_holes(parts) & ~cv2.dilate(blue.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
+    mask = filled | (parts & ~blue)
+    full = cv2.resize(mask.astype(np.float32), rgb.shape[1::-1], interpolation=cv2.INTER_LINEAR) > 0.5
+    return full
+
+
+def _gelatin(lab: np.ndarray) -> np.ndarray:
+    """Blue pixels: clearly negative b*, hue between cyan and violet. Tissue, also grey matter, is on the yellow side."""
+    _, a, b = np.moveaxis(lab, 2, 0)
+    return (b < -3) & (a < -0.8 * b)
+
+
+def _background(lab: np.ndarray, blue: np.ndarray) -> np.ndarray:
+    """What touches the picture's border and looks like it: black tray, white paper; grown through gelatin."""
+    from scipy import ndimage
+
+    border = np.concatenate([lab[0], lab[-1], lab[:, 0], lab[:, -1]])
+    dark = lab[..., 0] < 12
+    candidates = blue.copy()
+    if np.mean(border[:, 0] < 12) > 0.2:
+        candidates |= dark
+    common = np.median(border, axis=0)
+    near = np.linalg.norm(lab - common, axis=2) < 6
+    if np.mean(np.linalg.norm(border - common, axis=1) < 6) > 0.5:
+        candidates |= near
+    labels, _ = ndimage.label(candidates, structure=np.ones((3, 3)))
+    touching = np.unique(np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]))
+    return np.isin(labels, touching[touching > 0])
+
+
+def _tissue_parts(solid: np.ndarray, lab: np.ndarray) -> np.ndarray:
+    """The largest warm-coloured part and others of at least 4 % of it; grey scales, labels and frames are not warm."""
+    from scipy import ndimage
+
+    labels, count = ndimage.label(solid)
+    if count == 0:
+        return solid
+    index = np.arange(1, count + 1)
+    sizes = ndimage.sum_labels(solid, labels, index)
+    redness = ndimage.median(lab[..., 1], labels, index)
+    chroma = ndimage.median(np.hypot(lab[..., 1], lab[..., 2]), labels, index)
+    touches = np.isin(index, np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]))
+    warm = (redness > 0.5) & (chroma > 4)
+    order = np.where(warm & ~touches, sizes, np.where(warm, sizes * 0.5, sizes * 1e-3))
+    best = order.max()
+    keep = (order >= 0.04 * best) & (warm | (order == best))
+    return np.concatenate([[False], keep])[labels]

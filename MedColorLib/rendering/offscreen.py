@@ -1,0 +1,270 @@
+"""All of VTK: finds a way to draw without a display, and draws a grid seen by a camera."""
+
+from __future__ import annotations
+
+import logging
+import os
+import shutil
+import subprocess
+import sys
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import DeviceError, MissingPackageError, SettingsError
+from . import presets
+from .grid import Grid
+
+_LOG = logging.getLogger("MedColor")
+_PROBE = Path(__file__).with_name("probe.py")
+_PROBE_SECONDS = 120  # a software driver compiles its shaders first, on a machine that may be busy
+MAX_PICTURE_SIDE = 8192
+_MAX_SAMPLES_PER_RAY = 1500
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A parallel camera in millimetres RAS.
+
+    Attributes:
+        focal: (3,) point in the middle of the picture.
+        towards: (3,) unit vector from the body to the viewer.
+        up: (3,) unit vector that points up in the picture.
+        half_height_mm: half of the height that the picture shows.
+        distance_mm: from the focal point to the viewer, outside the body.
+    """
+
+    focal: np.ndarray
+    towards: np.ndarray
+    up: np.ndarray
+    half_height_mm: float
+    distance_mm: float
+
+
+def _window_names() -> list[str]:
+    """VTK classes to try, the user's choice first; the two that need no display, where built, before the default."""
+    from vtkmodules import vtkRenderingOpenGL2
+
+    names = (os.environ.get("VTK_DEFAULT_OPENGL_WINDOW", ""), "vtkEGLRenderWindow", "vtkOSOpenGLRenderWindow")
+    return [*dict.fromkeys(name for name in names if hasattr(vtkRenderingOpenGL2, name)), "vtkRenderWindow"]
+
+
+def _python() -> str:
+    """A Python interpreter for the probe; inside Slicer `sys.executable` may be the application itself."""
+    for candidate in (sys.executable, shutil.which("PythonSlicer"), shutil.which("python3")):
+        if candidate and Path(candidate).name.lower().startswith("python"):
+            return candidate
+    raise DeviceError("rendering: no Python interpreter found to try OpenGL with; put python3 on the PATH")
+
+
+@lru_cache(maxsize=1)
+def working_window() -> str:
+    """Name of the first VTK render window class that draws a volume on this machine.
+
+    Each is tried in a process of its own: a missing driver ends the process instead of raising an error.
+
+    Raises:
+        DeviceError: none works; the message names the Debian packages to install.
+        MissingPackageError: VTK is not installed.
+    """
+    _require_vtk()
+    tried = []
+    for name in _window_names():
+        try:
+            probe = subprocess.run(
+                [_python(), str(_PROBE), name],
+                stdin=subprocess.DEVNULL,
+                capture_output=True,
+                timeout=_PROBE_SECONDS,
+                check=False,
+            )
+            status = f"status {probe.returncode}"
+        except subprocess.TimeoutExpired:
+            status = f"no answer in {_PROBE_SECONDS} s"
+        if status == "status 0":
+            _LOG.debug("rendering: drawing with %s", name)
+            return name
+        tried.append(f"{name}: {status}")
+    raise DeviceError(
+        f"rendering: no OpenGL that can draw without a display ({'; '.join(tried)}). On Debian or Ubuntu install "
+        "libegl1 libgl1 libgl1-mesa-dri (or libosmesa6); with a VTK that needs an X server, run under xvfb-run"
+    )
+
+
+def _require_vtk() -> None:
+    try:
+        import vtkmodules.vtkRenderingVolumeOpenGL2  # noqa: F401
+    except ModuleNotFoundError as error:
+        raise MissingPackageError('rendering: VTK is not installed; run: pip install "vtk>=9.1"') from error
+    except ImportError as error:  # libGL or libX11 itself is absent, seen with some builds
+        raise DeviceError(
+            f"rendering: VTK cannot be loaded ({error}). On Debian or Ubuntu install libegl1 libgl1 libgl1-mesa-dri "
+            "libx11-6 libxrender1"
+        ) from error
+
+
+def check_size(size: tuple[int, int]) -> None:
+    """Refuse a picture size that no driver can draw.
+
+    Raises:
+        SettingsError: not width and height from 1 to 8192 pixels.
+    """
+    if not (len(size) == 2 and all(1 <= int(n) <= MAX_PICTURE_SIDE for n in size)):
+        raise SettingsError(f"picture size: expected width and height from 1 to {MAX_PICTURE_SIDE}, got {size}")
+
+
+class Stage:
+    """One render window that shows one grid at a time; a context manager that frees the driver's memory at its end.
+
+    Args:
+        size: (width, height) of the pictures in pixels.
+        background: RGB 0..255 behind the volume.
+
+    Raises:
+        SettingsError: a size outside 1..8192 pixels.
+        DeviceError: see `working_window`.
+    """
+
+    def __init__(self, size: tuple[int, int], background: tuple[int, int, int] = (0, 0, 0)) -> None:
+        check_size(size)
+        name = working_window()
+        from vtkmodules import vtkRenderingOpenGL2
+        from vtkmodules.vtkRenderingCore import vtkRenderer, vtkRenderWindow
+
+        self._errors: list[str] = []
+        self._window = getattr(vtkRenderingOpenGL2, name, vtkRenderWindow)()
+        self._window.SetOffScreenRendering(1)
+        self._window.SetShowWindow(False)
+        self._window.SetMultiSamples(0)
+        self._window.SetSize(int(size[0]), int(size[1]))
+        self._renderer = vtkRenderer()
+        self._renderer.SetBackground(*(channel / 255.0 for channel in background))
+        self._window.AddRenderer(self._renderer)
+        self._listen(self._window)
+
+    def __enter__(self) -> Stage:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._renderer.RemoveAllViewProps()
+        self._window.Finalize()
+
+    def _listen(self, source: object) -> None:
+        """VTK writes its errors to the terminal and goes on; keep them, to raise them."""
+
+        def remember(_caller: object, _event: str, text: str) -> None:
+            self._errors.append(text.strip().splitlines()[-1])
+
+        remember.CallDataType = "string0"
+        source.AddObserver("ErrorEvent", remember)
+
+    def show(self, grid: Grid, opacity: float = presets.DEFAULT_OPACITY, shade: bool = True) -> None:
+        """Put `grid` on the stage instead of what was there."""
+        self._renderer.RemoveAllViewProps()
+        self._renderer.AddVolume(self._volume(grid, opacity, shade))
+
+    def _volume(self, grid: Grid, opacity: float, shade: bool) -> object:
+        from vtkmodules.vtkCommonMath import vtkMatrix4x4
+        from vtkmodules.vtkRenderingCore import vtkVolume
+        from vtkmodules.vtkRenderingVolume import vtkGPUVolumeRayCastMapper
+
+        # Spacing goes into the image and only the directions into the matrix: the mapper measures its steps in the
+        # image's own millimetres, so that with spacing in the matrix opacity would depend on the direction of view.
+        spacing_mm = np.linalg.norm(grid.ijk_to_ras[:3, :3], axis=0)
+        mapper = vtkGPUVolumeRayCastMapper()
+        self._listen(mapper)
+        mapper.SetInputData(_image(grid.rgba, spacing_mm))
+        mapper.SetBlendModeToComposite()
+        mapper.AutoAdjustSampleDistancesOff()
+        mapper.SetImageSampleDistance(1.0)
+        mapper.SetSampleDistance(max(0.5 * float(spacing_mm.min()), grid.diagonal_mm / _MAX_SAMPLES_PER_RAY))
+        mapper.UseJitteringOff()
+        volume = vtkVolume()
+        volume.SetMapper(mapper)
+        volume.SetProperty(_properties(grid, opacity, shade))
+        directions = np.array(grid.ijk_to_ras)
+        directions[:3, :3] /= spacing_mm
+        matrix = vtkMatrix4x4()
+        matrix.DeepCopy(directions.ravel())
+        volume.SetUserMatrix(matrix)
+        volume.GetShaderProperty().AddFragmentShaderReplacement(
+            presets.NORMAL_FROM_COMPONENT, False, presets.NORMAL_FROM_ALPHA, True
+        )
+        return volume
+
+    def draw(self, camera: Camera) -> np.ndarray:
+        """The picture that the camera sees, (H, W, 3) uint8, first row on top.
+
+        Raises:
+            DeviceError: the driver reported an error while drawing.
+        """
+        from vtkmodules.util.numpy_support import vtk_to_numpy
+        from vtkmodules.vtkRenderingCore import vtkWindowToImageFilter
+
+        self._aim(camera)
+        self._window.Render()
+        grabber = vtkWindowToImageFilter()
+        grabber.SetInput(self._window)
+        grabber.SetInputBufferTypeToRGB()
+        grabber.ReadFrontBufferOff()
+        grabber.ShouldRerenderOff()
+        grabber.Update()
+        if self._errors:
+            raise DeviceError(
+                f"rendering: the OpenGL driver failed: {self._errors[0]}. Try a smaller picture or "
+                "volume, or set VTK_DEFAULT_OPENGL_WINDOW to another window class"
+            )
+        image = grabber.GetOutput()
+        width, height, _ = image.GetDimensions()
+        pixels = vtk_to_numpy(image.GetPointData().GetScalars()).reshape(height, width, 3)
+        return np.ascontiguousarray(pixels[::-1])
+
+    def _aim(self, camera: Camera) -> None:
+        view = self._renderer.GetActiveCamera()
+        view.ParallelProjectionOn()
+        view.SetParallelScale(camera.half_height_mm)
+        view.SetFocalPoint(*camera.focal)
+        view.SetPosition(*(camera.focal + camera.distance_mm * camera.towards))
+        view.SetViewUp(*camera.up)
+        self._renderer.ResetCameraClippingRange()
+
+
+def _image(rgba: np.ndarray, spacing_mm: np.ndarray) -> object:
+    from vtkmodules.util.numpy_support import numpy_to_vtk
+    from vtkmodules.vtkCommonDataModel import vtkImageData
+
+    image = vtkImageData()
+    image.SetDimensions(*rgba.shape[2::-1])
+    image.SetSpacing(*spacing_mm)
+    # Shares memory; VTK keeps a reference to the array.
+    image.GetPointData().SetScalars(numpy_to_vtk(rgba.reshape(-1, 4), deep=False))
+    return image
+
+
+def _properties(grid: Grid, opacity: float, shade: bool) -> object:
+    from vtkmodules.vtkCommonDataModel import vtkPiecewiseFunction
+    from vtkmodules.vtkRenderingCore import vtkVolumeProperty
+
+    alpha = grid.rgba[..., 3]
+    curve = vtkPiecewiseFunction()
+    for x, y in presets.opacity_points(float(alpha.min()), float(alpha.max()), opacity):
+        curve.AddPoint(x, y)
+    gradient = vtkPiecewiseFunction()
+    gradient.AddPoint(0.0, presets.GRADIENT_OPACITY)
+    gradient.AddPoint(255.0, presets.GRADIENT_OPACITY)
+    properties = vtkVolumeProperty()
+    properties.IndependentComponentsOff()
+    properties.SetInterpolationTypeToLinear()
+    properties.SetScalarOpacity(curve)
+    properties.SetGradientOpacity(gradient)
+    properties.DisableGradientOpacityOn()  # a constant 1 need not be computed
+    for component in range(4):  # the curve is taken from component 0, but its unit distance from alpha's own, 3
+        properties.SetScalarOpacityUnitDistance(component, presets.unit_distance_mm(grid.diagonal_mm))
+    properties.SetShade(1 if shade else 0)
+    properties.SetAmbient(presets.AMBIENT)
+    properties.SetDiffuse(presets.DIFFUSE)
+    properties.SetSpecular(presets.SPECULAR)
+    properties.SetSpecularPower(presets.SPECULAR_POWER)
+    return properties

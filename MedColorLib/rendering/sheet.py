@@ -1,0 +1,216 @@
+"""The contact sheet: views and sections, grey beside colour, in one PNG."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import OutputError, SettingsError
+from ..volume import ColorVolume, Volume
+from .grid import (
+    VOXEL_BUDGET,
+    cut_grid,
+    grey_color_volume,
+    not_black,
+    prepare_grid,
+    require_same_grid,
+    shifted,
+    tissue_box,
+)
+from .layout import PANEL_RGB, Sheet
+from .offscreen import Camera, Stage
+from .presets import DEFAULT_OPACITY, opacity_curve
+from .sections import section_frame, sections
+from .views import camera_for, corner_cut
+
+FOOTNOTE = "Illustration: colours are not a measurement"
+MIN_SHEET_SIZE = (480, 360)
+MAX_SHEET_SIZE = (4096, 4096)
+
+# Label, view, and the corner that is taken away (R, A, S) through the point where the three sections meet.
+_VIEWS = (
+    ("Surface", "oblique", None),
+    ("Cut open", "oblique", (-1, 1, 1)),
+    ("Left half taken away", "left-oblique", (-1, 0, 0)),
+)
+# Name, and the letters at the left and right edge.
+_SECTIONS = (("transverse", ("R", "L")), ("coronal", ("R", "L")), ("sagittal", ("A", "P")))
+
+_SUPERSAMPLING = 1.5  # smooth edges for 2.25 times the work
+_VIEW_FILL = 0.86  # leaves room for the label
+
+
+def contact_sheet(
+    grey: Volume | ColorVolume | None,
+    color: ColorVolume,
+    size: tuple[int, int] = (1600, 1200),
+    *,
+    window: tuple[float, float] | None = None,
+    opacity: float = DEFAULT_OPACITY,
+    centre: tuple[float, float, float] | None = None,
+    voxel_budget: int = VOXEL_BUDGET,
+) -> np.ndarray:
+    """Three views and three sections; each of the grey volume beside its coloured version.
+
+    Args:
+        grey: the volume that was coloured, shown where `color` is not black, so that table and air do not hide the
+            body. None leaves the grey half out.
+        color: RGB volume.
+        size: (width, height) in pixels.
+        window: (low, high) for grey scalars; without it the file's own, else robust percentiles inside the body.
+        opacity: 0 to 1 for the views.
+        centre: where the sections meet and the body is cut open, in fractions 0..1 of its extent along R, A, S;
+            without it the centroid of all that is not black.
+        voxel_budget: see `render_view`.
+
+    Returns:
+        (H, W, 3) uint8 RGB. Empty panels when `color` is all black.
+
+    Raises:
+        InputError: `grey` is not on the grid of `color`, or has no window.
+        SettingsError: a size, opacity, window or centre out of range.
+        DeviceError: no OpenGL on this machine.
+    """
+    _check_sheet_size(size)
+    opacity_curve(opacity)
+    frame = section_frame(color, centre)
+    if grey is None:
+        sheet = Sheet(size, (3, 2), ("",), FOOTNOTE)
+        view_cells, section_cells = (0, 1, 2), (3, 4, 5)
+    else:
+        sheet = Sheet(size, (2, 3), ("Scan", "Coloured"), FOOTNOTE)
+        view_cells, section_cells = (0, 2, 4), (1, 3, 5)
+        require_same_grid(grey, color)
+    if frame is None:
+        return sheet.picture
+    volumes = _body_only(grey, color, window)
+    planes = _trimmed([sections(volume, frame=frame) for volume in volumes])
+    views = _draw_views(volumes, np.asarray(frame.centre), sheet.panel_size, opacity, voxel_budget)
+    for panel in range(len(volumes)):
+        for cell, picture, (label, _, _) in zip(view_cells, views[panel], _VIEWS):
+            sheet.place(cell, panel, picture, label)
+        for cell, (name, edges) in zip(section_cells, _SECTIONS):
+            sheet.place(cell, panel, planes[panel][name], name.capitalize(), edges)
+    return sheet.picture
+
+
+def render_to_png(
+    path: str | os.PathLike,
+    color: ColorVolume,
+    grey: Volume | ColorVolume | None = None,
+    size: tuple[int, int] = (1600, 1200),
+    *,
+    window: tuple[float, float] | None = None,
+    opacity: float = DEFAULT_OPACITY,
+    centre: tuple[float, float, float] | None = None,
+    voxel_budget: int = VOXEL_BUDGET,
+) -> Path:
+    """Draw the `contact_sheet` (see there) and write it to `path`; an unfinished file never bears that name.
+
+    Returns:
+        The path written.
+
+    Raises:
+        OutputError: the name does not end in .png, or the folder is missing or cannot be written to.
+        InputError, SettingsError, DeviceError: see `contact_sheet`.
+    """
+    target = Path(path)
+    if target.suffix.lower() != ".png":
+        raise OutputError(f"{target.name}: pictures are written as PNG; choose a name that ends in .png")
+    if not target.parent.is_dir():
+        raise OutputError(f"{target}: the folder does not exist; create it first")
+    if target.is_dir():
+        raise OutputError(f"{target}: this is a folder; choose the name of a file")
+    sheet = contact_sheet(grey, color, size, window=window, opacity=opacity, centre=centre, voxel_budget=voxel_budget)
+    write_png(target, sheet)
+    return target
+
+
+def write_png(target: Path, picture: np.ndarray) -> None:
+    """Write (H, W, 3) uint8 RGB under a temporary name beside `target`, then rename it.
+
+    Raises:
+        OutputError: the folder cannot be written to, or the disk is full.
+    """
+    import cv2
+
+    _, data = cv2.imencode(".png", picture[..., ::-1])
+    unfinished = target.with_name(f".{target.name}.{os.getpid()}.part")
+    try:
+        unfinished.write_bytes(data.tobytes())
+        os.replace(unfinished, target)
+    except OSError as error:
+        reason = f"{target}: cannot be written ({error.strerror}); check the folder's rights and the space left"
+        raise OutputError(reason) from error
+    finally:
+        unfinished.unlink(missing_ok=True)
+
+
+def _check_sheet_size(size: tuple[int, int]) -> None:
+    if len(size) != 2 or any(not low <= n <= high for n, low, high in zip(size, MIN_SHEET_SIZE, MAX_SHEET_SIZE)):
+        raise SettingsError(
+            f"sheet size: expected from {MIN_SHEET_SIZE[0]} x {MIN_SHEET_SIZE[1]} to "
+            f"{MAX_SHEET_SIZE[0]} x {MAX_SHEET_SIZE[1]} pixels, got {' x '.join(map(str, size))}"
+        )
+
+
+def _body_only(
+    grey: Volume | ColorVolume | None, color: ColorVolume, window: tuple[float, float] | None
+) -> list[ColorVolume]:
+    """The volumes to draw, cropped to the body: the grey one as RGB, black where `color` is, and `color`."""
+    box = tissue_box(color.rgb)
+    matrix = shifted(color.ijk_to_ras, tuple(s.start for s in box[::-1]))
+    body = ColorVolume(color.rgb[box], matrix)
+    if grey is None:
+        return [body]
+    if isinstance(grey, Volume):
+        mask = np.stack([not_black(plane) for plane in body.rgb])
+        scalars = Volume(grey.array[box], matrix, grey.window, grey.name)
+        shown = grey_color_volume(scalars, window, mask).rgb
+    else:
+        shown = grey.rgb[box].copy()
+    for k, plane in enumerate(body.rgb):
+        shown[k] *= not_black(plane)[..., None]
+    return [ColorVolume(shown, matrix), body]
+
+
+def _trimmed(planes: list[dict[str, np.ndarray]]) -> list[dict[str, np.ndarray]]:
+    """All sections cut to what is not black in the last (coloured) ones: the frame is as wide as the whole body."""
+    boxes = {}
+    for name, picture in planes[-1].items():
+        mask = not_black(picture)
+        ends = [np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0)]
+        if all(end.size for end in ends):
+            boxes[name] = tuple(slice(end[0], end[-1] + 1) for end in ends)
+    return [{name: picture[boxes.get(name, ...)] for name, picture in some.items()} for some in planes]
+
+
+def _draw_views(
+    volumes: list[ColorVolume],
+    cut_point: np.ndarray,
+    panel_size: tuple[int, int],
+    opacity: float,
+    voxel_budget: int,
+) -> list[list[np.ndarray]]:
+    """For each volume its three views, all with the cameras that suit the last (coloured) one."""
+    import cv2
+
+    size = tuple(round(_SUPERSAMPLING * n) for n in panel_size)
+    pictures = [[np.zeros((*panel_size[::-1], 3), dtype=np.uint8)] * len(_VIEWS) for _ in volumes]
+    cameras: list[Camera | None] = []
+    with Stage(size, PANEL_RGB) as stage:
+        for v in reversed(range(len(volumes))):
+            whole = prepare_grid(volumes[v], voxel_budget)
+            for n, (_, view, towards) in enumerate(_VIEWS):
+                if whole is None:
+                    continue
+                grid = whole if towards is None else cut_grid(whole, corner_cut(cut_point, towards))
+                if len(cameras) == n:
+                    cameras.append(camera_for(grid, view, size, _VIEW_FILL))
+                if cameras[n] is None:
+                    continue
+                stage.show(grid, opacity)
+                pictures[v][n] = cv2.resize(stage.draw(cameras[n]), panel_size, interpolation=cv2.INTER_AREA)
+    return pictures

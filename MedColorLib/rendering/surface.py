@@ -1,0 +1,108 @@
+"""Luminance as alpha, and a surface that interpolation does not darken."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+
+from .presets import ALPHA_AIR, LUMINANCE_WEIGHTS
+
+# Air around the voxels, in voxels: room for the colour that goes on into it, then alpha 0, so that alpha's range
+# starts at 0 and no surface ends at the border of the texture.
+MARGIN = 3
+
+
+def surface_rgba(rgb: np.ndarray) -> np.ndarray:
+    """RGB (k, j, i, 3) uint8 to RGBA (k + 6, j + 6, i + 6, 4): a margin of air, luminance as alpha, no dark rim.
+
+    Colours are changed only in air and in voxels that touch air; alpha only there, too.
+    """
+    inner = slice(MARGIN, -MARGIN)
+    rgba = np.zeros((*(n + 2 * MARGIN for n in rgb.shape[:3]), 4), dtype=np.uint8)
+    rgba[inner, inner, inner, :3] = rgb
+    for plane in rgba:
+        plane[..., 3] = luminance_alpha(plane)
+    _dress(rgba)
+    return rgba
+
+
+def luminance_alpha(rgb: np.ndarray) -> np.ndarray:
+    """Luminance 0.30 R + 0.59 G + 0.11 B of uint8 (..., 3 or 4), truncated to uint8 as vtkImageLuminance does.
+
+    Slicer passes a three-component volume through that filter to get alpha. Each partial sum is rounded to float32, as
+    there: white is 255, and all bytes are the same.
+    """
+    luminance = np.zeros(rgb.shape[:-1], dtype=np.float32)
+    for channel, weight in enumerate(LUMINANCE_WEIGHTS):
+        luminance = (luminance + np.float64(weight) * rgb[..., channel]).astype(np.float32)
+    return luminance.astype(np.uint8)
+
+
+def _dilated(mask: np.ndarray) -> np.ndarray:
+    """Mask (k, j, i) grown by one voxel in all 26 directions."""
+    import cv2
+
+    square = np.ones((3, 3), dtype=np.uint8)
+    planes = np.stack([cv2.dilate(plane, square) for plane in mask.view(np.uint8)]).view(bool)
+    grown = planes.copy()
+    grown[1:] |= planes[:-1]
+    grown[:-1] |= planes[1:]
+    return grown
+
+
+def _dress(rgba: np.ndarray) -> None:
+    """Continue the tissue's colour into the air around it and soften the step in alpha between them, in place.
+
+    Linear interpolation mixes the colour of air into the outer half voxel, and the first samples that a ray meets are
+    taken there: without this every surface has a dark rim. The same mixing happened already in the scan: a voxel half
+    filled by air is dark. So a voxel that touches air also takes its inner neighbours' colour, if it is darker.
+    Alpha ends in a step where a mask cut the body out; on a step, shading shows each voxel as a stair.
+    """
+    alpha = rgba[..., 3]
+    tissue = alpha > ALPHA_AIR
+    near_air = _dilated(~tissue)
+    _take_colour(rgba, np.flatnonzero(tissue & near_air), tissue & ~near_air, only_if_brighter=True)
+    reached = _dilated(tissue)
+    shell = np.flatnonzero(reached & ~tissue)
+    _take_colour(rgba, shell, tissue)
+    _take_colour(rgba, np.flatnonzero(_dilated(reached) & ~reached), reached)
+    alpha *= reached
+    alpha = alpha.reshape(-1)
+    total = np.zeros(shell.size, dtype=np.float32)
+    for offset, weight in _neighbourhood(tissue.shape):
+        total += weight * alpha[shell + offset]
+    rgba.reshape(-1, 4)[shell, 3] = np.rint(total).astype(np.uint8)
+
+
+def _neighbourhood(shape: tuple[int, int, int]) -> list[tuple[int, float]]:
+    """Flat offset and binomial weight (1 2 1 along each axis, sum 1) of a voxel and its 26 neighbours."""
+    _, nj, ni = shape
+    return [
+        ((dk * nj + dj) * ni + di, 0.5 ** (3 + abs(dk) + abs(dj) + abs(di)))
+        for dk, dj, di in product((-1, 0, 1), repeat=3)
+    ]
+
+
+def _take_colour(rgba: np.ndarray, targets: np.ndarray, known: np.ndarray, only_if_brighter: bool = False) -> None:
+    """Give the voxels `targets` (flat indices, not on the array's border) the mean colour of `known` neighbours.
+
+    Bright neighbours weigh more: the dark ones hold more air. Works on the list of targets only, since surfaces are a
+    few percent of a volume.
+    """
+    colour = rgba.reshape(-1, 4)
+    flat_known = known.reshape(-1)
+    total = np.zeros((targets.size, 3), dtype=np.float32)
+    sum_of_weights = np.zeros(targets.size, dtype=np.float32)
+    for offset, weight in _neighbourhood(known.shape):
+        neighbour = colour[targets + offset]
+        share = flat_known[targets + offset] * (np.float32(weight) * (neighbour[:, 3] + np.float32(1)))
+        total += share[:, None] * neighbour[:, :3]
+        sum_of_weights += share
+    chosen = sum_of_weights > 0
+    mean = np.rint(total[chosen] / sum_of_weights[chosen, None]).astype(np.uint8)
+    targets = targets[chosen]
+    if only_if_brighter:
+        brighter = luminance_alpha(mean) > luminance_alpha(colour[targets])
+        targets, mean = targets[brighter], mean[brighter]
+    colour[targets, :3] = mean

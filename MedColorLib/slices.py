@@ -1,0 +1,54 @@
+"""Stage *slices*: the volume as a stack of transverse slices, whatever way it was acquired, without resampling."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+PLANES = ("transverse", "acquired")
+
+
+@dataclass(frozen=True)
+class SliceOrder:
+    """How to see an array (k, j, i[, c]) as a stack of slices, and back. Transposes and flips only: exact and free.
+
+    Attributes:
+        axes: for stack, row, column: which array axis they are.
+        flips: for stack, row, column: whether the array axis runs the other way.
+    """
+
+    axes: tuple[int, int, int]
+    flips: tuple[bool, bool, bool]
+
+    def view(self, array: np.ndarray) -> np.ndarray:
+        """The array as (slice, row, column[, c]): a view, nothing copied."""
+        rest = tuple(range(3, array.ndim))
+        seen = array.transpose(*self.axes, *rest)
+        return seen[tuple(slice(None, None, -1 if flip else 1) for flip in self.flips)]
+
+    def describe(self) -> str:
+        """One sentence for the plan."""
+        stack = "kji"[self.axes[0]]
+        return f"slices run along array axis {stack}{', reversed' if self.flips[0] else ''}"
+
+
+def slice_order(ijk_to_ras: np.ndarray, plane: str = "transverse") -> SliceOrder:
+    """Order in which slices run from the feet up, rows from front to back, columns from the patient's right to left.
+
+    That is the usual display of a transverse slice, and how cryosection photographs are compared. Oblique volumes take
+    the nearest axes. With plane "acquired" the array is taken as it lies.
+    """
+    if plane == "acquired":
+        return SliceOrder((0, 1, 2), (False, False, False))
+    directions = ijk_to_ras[:3, :3] / np.linalg.norm(ijk_to_ras[:3, :3], axis=0)
+    by_array_axis = directions[:, ::-1]  # columns now k, j, i = array axes 0, 1, 2; rows R, A, S
+    best, axes = -1.0, (0, 1, 2)
+    for candidate in ((0, 1, 2), (0, 2, 1), (1, 0, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0)):
+        stack, row, column = candidate
+        fit = abs(by_array_axis[2, stack]) + abs(by_array_axis[1, row]) + abs(by_array_axis[0, column])
+        if fit > best + 1e-9:
+            best, axes = fit, candidate
+    stack, row, column = axes
+    flips = (by_array_axis[2, stack] < 0, by_array_axis[1, row] > 0, by_array_axis[0, column] < 0)
+    return SliceOrder(axes, tuple(bool(f) for f in flips))

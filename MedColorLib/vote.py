@@ -1,0 +1,27 @@
+"""Stage *vote*: from the field of the last layer to colours on the full grid."""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+from .correspondence.field import average_vote, upsample
+
+
+def to_full_grid(field: Tensor, layer: int, reference_shape: tuple[int, int]) -> Tensor:
+    """Upsample a field (N, h, w) of `layer` to layer 1; `reference_shape` is (H, W) of the reference on the grid."""
+    for finer in range(layer - 1, 0, -1):
+        shape = tuple(-(-side // 2 ** (finer - 1)) for side in reference_shape)
+        field = upsample(field, shape, -(-reference_shape[1] // 2**finer))
+    return field
+
+
+def matched_colors(field: Tensor, layer: int, reference: Tensor) -> Tensor:
+    """T': the reference's colours at the target's positions, average vote of 5 x 5 patches.
+
+    Args:
+        field: (N, h, w) of `layer`. reference: (1, C, H, W) on the full grid.
+
+    Returns:
+        (N, C, H, W).
+    """
+    return average_vote(reference, to_full_grid(field, layer, tuple(reference.shape[2:])), radius=2)
