@@ -5,11 +5,11 @@ The data's way, one file a stage, one folder a choice of alternatives:
 | stage | file | takes -> gives |
 | --- | --- | --- |
 | volume in | `volume_io`, `volume` | file -> `Volume` (k, j, i) with its place in space |
-| slices | `slices`, `body`, `intensity`, `reference`, `grid` | volume -> transverse slices, body masks, display grey 0..1 on one raster |
+| slices | `slices`, `body`, `intensity`, `reference`, `grid` | volume -> transverse slices, body, display grey on one raster |
 | plan | `prepare`, `plan` | what will be done, what is left out and why |
 | contrast | `contrast` | scan's grey -> the photograph's contrast, for matching only |
 | features | `features/` | grey slice -> five maps |
-| correspondence | `correspondence/`, `analogy`, `reconstruction`, `vote` | two lists of maps -> field -> matched colours T' |
+| correspondence | `correspondence/`, `analogy`, `reconstruction`, `vote` | maps -> field -> matched colours T' |
 | colour | `color/`, `filters/`, `transfer` | T' and the scan's luminance -> sRGB slice |
 | volume out | `volume_io`, `report` | `ColorVolume` -> NRRD or NIfTI, JSON report |
 | rendering | `rendering/` | `ColorVolume` -> pictures |
@@ -24,7 +24,6 @@ The data's way, one file a stage, one folder a choice of alternatives:
 from __future__ import annotations
 
 from importlib import import_module
-from typing import TYPE_CHECKING
 
 __version__ = "0.1.0"
 
@@ -41,15 +40,7 @@ _WHERE = {
     "write_color_volume": "volume_io",
 }
 
-__all__ = sorted(_WHERE)
-
-if TYPE_CHECKING:
-    from .filters import fast_global_smoother
-    from .parameters import Settings
-    from .pipeline import colorize, make_plan
-    from .plan import Plan
-    from .volume import ColorVolume, Volume
-    from .volume_io import read_color_volume, read_volume, write_color_volume
+__all__ = list(_WHERE)  # noqa: PLE0605 - one list of public names, one place
 
 
 def __getattr__(name: str):

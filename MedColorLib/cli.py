@@ -56,17 +56,39 @@ def _add_colorize(commands) -> None:
     command = commands.add_parser("colorize", help="colour a volume")
     add = command.add_argument
     add("input", metavar="INPUT", help="NRRD, MetaImage, NIfTI, DICOM folder, or folder of PNG/TIFF slices")
-    add("-r", "--reference", action="append", required=True, metavar="REF", help="colour picture or folder; may be repeated")
+    add(
+        "-r",
+        "--reference",
+        action="append",
+        required=True,
+        metavar="REF",
+        help="colour picture or folder; may be repeated",
+    )
     add("-o", "--output", metavar="OUT", help="result: .nrrd or .nii.gz (not needed with --plan)")
     add("--preset", choices=tuple(PRESETS), default="balanced", help="how deep to go (default: %(default)s)")
-    add("--features", choices=FEATURES, default="auto", help="feature network (default: VGG-19 where present, else embedded)")
+    add(
+        "--features",
+        choices=FEATURES,
+        default="auto",
+        help="feature network (default: VGG-19 where present, else embedded)",
+    )
     add("--smoother", choices=SMOOTHERS, default="auto", help="how colour is spread (default: the preset's)")
     add("--luminance", choices=LUMINANCE, default="keep", help="the scan's own, or the reference's as in the paper")
     add("--gamma", choices=("on", "off"), default="on", help="transfer between gamma 1/2 and 2 (default: %(default)s)")
-    add("--reconstruction", choices=RECONSTRUCTIONS, default="warp", help="features one layer down (default: %(default)s)")
+    add(
+        "--reconstruction",
+        choices=RECONSTRUCTIONS,
+        default="warp",
+        help="features one layer down (default: %(default)s)",
+    )
     add("--window", nargs=2, type=float, metavar=("LO", "HI"), help="values shown black and white")
     add("--slices", type=_slice_range, metavar="A:B", help="transverse slices from A up to B, counted from the feet")
-    add("--plane", choices=("transverse", "acquired"), default="transverse", help="slices to colour (default: %(default)s)")
+    add(
+        "--plane",
+        choices=("transverse", "acquired"),
+        default="transverse",
+        help="slices to colour (default: %(default)s)",
+    )
     add("--device", default="auto", help="auto, cpu, cuda, cuda:N or mps (default: %(default)s)")
     add("--seed", type=int, default=0, metavar="N", help="of the random search (default: %(default)s)")
     add("--plan", action="store_true", help="print what would be done and left out, and stop")
@@ -125,8 +147,10 @@ def _colorize(arguments) -> None:
     if arguments.report:
         write_report(result.report, arguments.report)
     seconds = result.report["seconds"]["total"]
-    print(f"{arguments.output}: {len(result.report['plan']['slices'])} slices with {result.report['plan']['features']} "
-          f"features in {seconds:.1f} s. The colours are an illustration, not a measurement.")
+    print(
+        f"{arguments.output}: {len(result.report['plan']['slices'])} slices with {result.report['plan']['features']} "
+        f"features in {seconds:.1f} s. The colours are an illustration, not a measurement."
+    )
 
 
 def _check_outputs(arguments, check_output_path: Callable) -> None:

@@ -62,7 +62,9 @@ def match_contrast(greys, masks, reference_grey, reference_mask, coarse_similari
         return Contrast(matched, "histogram match", explained, 0.0)
     spread = histogram_match_curve(regressed, reference_grey[reference_mask])
     learned = apply_curve(regression, spread).astype(np.float64)
-    gain = coarse_similarity(apply_curve(greys, learned) * masks) - coarse_similarity(apply_curve(greys, matched) * masks)
+    gain = coarse_similarity(apply_curve(greys, learned) * masks) - coarse_similarity(
+        apply_curve(greys, matched) * masks
+    )
     if gain <= 0:
         return Contrast(matched, "histogram match", explained, gain)
     return Contrast(learned, "learned from a coarse correspondence", explained, gain)

@@ -20,7 +20,11 @@ def choose_device(name: str) -> str:
     if name == "cpu" or (name == "mps" and has_mps):
         return name
     kind, _, index = name.partition(":")
-    if kind == "cuda" and torch.cuda.is_available() and (not index or (index.isdigit() and int(index) < torch.cuda.device_count())):
+    if (
+        kind == "cuda"
+        and torch.cuda.is_available()
+        and (not index or (index.isdigit() and int(index) < torch.cuda.device_count()))
+    ):
         return name
     present = ["cpu"] + [f"cuda:{i}" for i in range(torch.cuda.device_count())] + (["mps"] if has_mps else [])
     raise DeviceError(f"device {name!r} is not here; present: {', '.join(present)}. Use --device auto or one of these")

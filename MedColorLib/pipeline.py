@@ -14,7 +14,7 @@ import numpy as np
 from .errors import Cancelled, DeviceError
 from .features import CONTEXT_WEIGHTS
 from .grid import continue_outwards, to_grid
-from .intensity import apply_curve, apply_window
+from .intensity import apply_curve, apply_window, spreading_curve
 from .parameters import PRESETS, Settings
 from .plan import Plan
 from .prepare import Prepared, prepare, sample_slices
@@ -133,6 +133,7 @@ class _Engine:
         self.reconstruct = make_reconstruction(self.settings.reconstruction, self.extractor)
         self.references = [_ReferenceOnGrid(r, self) for r in prepared.references]
         self.choice = self._choose_references()
+        self.guide_curve = self._spread_guide() if prepared.plan.smoother == "regression" else None
         with run.timed("contrast"):
             for index in sorted(set(self.choice.values())):
                 self._learn_contrast(index)
@@ -168,12 +169,22 @@ class _Engine:
             context = Context(position, grey * reference.contrast.trust, luminance, reference.luminance)
         with self.run.timed("matching"):
             match = deep_image_analogy(
-                features, reference.features, torch.from_numpy(masks).to(self.device), reference.mask_tensor,
-                self.stop_layer, context, self.reconstruct, seed=self.settings.seed,
+                features,
+                reference.features,
+                torch.from_numpy(masks).to(self.device),
+                reference.mask_tensor,
+                self.stop_layer,
+                context,
+                self.reconstruct,
+                seed=self.settings.seed,
             )
             self.searched = match.searched
             lab = matched_colors(match.field, match.layer, reference.lab)
         return greys, masks, lab.permute(0, 2, 3, 1).float().cpu().numpy()
+
+    def _spread_guide(self) -> np.ndarray:
+        boxes = [self.slice_in_box(k) for k in sample_slices(self.prepared.plan.slices)]
+        return spreading_curve(np.concatenate([grey[cover > 0.5] for grey, cover in boxes]))
 
     def _learn_contrast(self, index: int) -> None:
         import torch
@@ -239,13 +250,14 @@ def _color_slices(prepared: Prepared, engine: _Engine, stack: np.ndarray, run: _
 def _color_batch(prepared, engine, stack, ks, index, run) -> int:
     from .transfer import TransferParameters, transfer
 
-    parameters = TransferParameters(prepared.plan.smoother, prepared.settings.luminance, prepared.settings.gamma)
+    settings = prepared.settings
+    parameters = TransferParameters(prepared.plan.smoother, settings.luminance, settings.gamma, engine.guide_curve)
     greys, masks, matched = engine.match(ks, index)
     clipped = 0
     with run.timed("colour"):
         for n, k in enumerate(ks):
             grey, cover = engine.slice_in_box(k)
-            rgb, count = transfer(grey, cover > 0.5, matched[n], greys[n], masks[n], prepared.grid, parameters)
+            rgb, count = transfer(grey, cover > 0.5, matched[n], greys[n], masks[n], parameters)
             j0, j1, i0, i1 = prepared.body.boxes[k]
             stack[k, j0:j1, i0:i1] = rgb
             clipped += count
@@ -276,7 +288,10 @@ def _report(prepared: Prepared, engine: _Engine, run: _Run, clipped: int) -> dic
         "settings": prepared.settings.to_dict(),
         "plan": prepared.plan.to_dict(),
         "searched": {str(k): v for k, v in engine.searched.items()},
-        "seconds": {**{k: round(v, 4) for k, v in run.seconds.items()}, "total": round(time.perf_counter() - run.started, 4)},
+        "seconds": {
+            **{k: round(v, 4) for k, v in run.seconds.items()},
+            "total": round(time.perf_counter() - run.started, 4),
+        },
         "peak_memory_mb": peak_memory_mb(),
         "out_of_gamut_pixels": clipped,
         "environment": environment(prepared.plan.device),

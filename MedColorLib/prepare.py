@@ -81,7 +81,9 @@ def prepare(volume: Volume, references: Sequence, settings: Settings) -> Prepare
     note = check_values(volume.array, volume.name)
     features = choose_features(settings.features)
     if settings.reconstruction == "lbfgs" and features == "embedded":
-        raise SettingsError("reconstruction lbfgs inverts a network; the embedded features have none: use warp or vgg19")
+        raise SettingsError(
+            "reconstruction lbfgs inverts a network; the embedded features have none: use warp or vgg19"
+        )
     device = choose_device(settings.device)
     prepared_references = load_references(references)
     order = slice_order(volume.ijk_to_ras, settings.plane)
@@ -91,7 +93,9 @@ def prepare(volume: Volume, references: Sequence, settings: Settings) -> Prepare
     window = _window(view, body, chosen, volume, settings)
     grid = choose_grid(PRESETS[settings.preset].grid_px)
     repeats = _repeats(view, chosen)
-    plan = _plan(volume, settings, order, view, body, chosen, window, prepared_references, grid, repeats, features, device)
+    plan = _plan(
+        volume, settings, order, view, body, chosen, window, prepared_references, grid, repeats, features, device
+    )
     if note:
         plan.steps["volume"] += f"; {note}"
     return Prepared(volume, settings, order, view, body, window, prepared_references, grid, repeats, plan)
@@ -111,7 +115,9 @@ def _chosen_slices(body: Body, settings: Settings, count: int) -> list[int]:
         raise SettingsError(f"slices {start}:{stop}: the volume has {count} slices (0:{count})")
     chosen = [int(k) for k in body.slices if start <= k < stop]
     if not chosen:
-        raise InputError(f"slices {start}:{stop}: no body in this range; body was found in {body.slices[0]}:{body.slices[-1] + 1}")
+        raise InputError(
+            f"slices {start}:{stop}: no body in this range; body was found in {body.slices[0]}:{body.slices[-1] + 1}"
+        )
     return chosen
 
 
@@ -134,7 +140,9 @@ def _plan(volume, settings, order, view, body, chosen, window, references, grid,
     preset, smoother = PRESETS[settings.preset], settings.resolved_smoother
     boxes = body.boxes[chosen]
     cropped = float(((boxes[:, 1] - boxes[:, 0]) * (boxes[:, 3] - boxes[:, 2])).sum()) / (len(chosen) * view[0].size)
-    network = {"embedded": "embedded descriptors (no download)", "vgg19": "VGG-19", "gray-vgg19": "gray VGG-19"}[features]
+    network = {"embedded": "embedded descriptors (no download)", "vgg19": "VGG-19", "gray-vgg19": "gray VGG-19"}[
+        features
+    ]
     layers = "layer 5" if preset.stop_layer == 5 else f"layers 5 to {preset.stop_layer}"
     steps = {
         "volume": f"{volume.name}, {' x '.join(map(str, volume.array.shape))} (k, j, i) {volume.array.dtype}; {order.describe()}",
@@ -142,7 +150,8 @@ def _plan(volume, settings, order, view, body, chosen, window, references, grid,
         "body": f"{len(chosen)} of {len(view)} slices, values above {body.threshold:g}",
         "references": "; ".join(f"{r.name} ({100 * r.removed:.0f} % removed as not tissue)" for r in references),
         "features": f"{network}{' (auto)' if settings.features == 'auto' else ''}, {layers}, raster {grid.height} x {grid.width}, on {device}",
-        "matching": "both directions, exhaustive" + (" at layers 5 to 3, PatchMatch below" if preset.stop_layer < 3 else ""),
+        "matching": "both directions, exhaustive"
+        + (" at layers 5 to 3, PatchMatch below" if preset.stop_layer < 3 else ""),
         "colour": f"{smoother}; luminance {'of the scan' if settings.luminance == 'keep' else 'of the reference (paper)'}; "
         f"gamma {'1/2 and 2' if settings.gamma else 'off'}",
     }
@@ -158,23 +167,65 @@ def _left_out(settings, preset, smoother, features, view, body, chosen, referenc
     outside = len(body.slices) - len(chosen)
     if outside:
         entries.append(LeftOut("slices outside the range", "not asked for; they stay black", f"{outside} slices"))
-    entries.append(LeftOut("air around the body", "each slice is cut to its body's box", f"{100 * (1 - cropped):.0f} % of the pixels"))
+    entries.append(
+        LeftOut(
+            "air around the body", "each slice is cut to its body's box", f"{100 * (1 - cropped):.0f} % of the pixels"
+        )
+    )
     if repeats:
-        entries.append(LeftOut("repeated slices", "same values as their neighbour; its colours are copied", f"{len(repeats)} slices"))
+        entries.append(
+            LeftOut(
+                "repeated slices", "same values as their neighbour; its colours are copied", f"{len(repeats)} slices"
+            )
+        )
     if preset.stop_layer > 1:
         below = ", ".join(str(layer) for layer in range(preset.stop_layer - 1, 0, -1))
-        entries.append(LeftOut(f"layers {below}", "they change the colour little (see the benchmark)", "over nine tenths of the matching", "about 0.1 to 0.3 CIEDE2000"))
+        entries.append(
+            LeftOut(
+                f"layers {below}",
+                "they change the colour little (see the benchmark)",
+                "over nine tenths of the matching",
+                "about 0.1 to 0.3 CIEDE2000",
+            )
+        )
     entries.append(LeftOut("reverse map of the last layer", "nothing reads it", "one of two searches"))
     if settings.reconstruction == "warp" and features != "embedded":
-        entries.append(LeftOut("L-BFGS deconvolution", "the reference's own finer features are warped instead; --reconstruction lbfgs brings it back", "an optimisation per layer and direction", "see the benchmark"))
+        entries.append(
+            LeftOut(
+                "L-BFGS deconvolution",
+                "the reference's own finer features are warped instead; --reconstruction lbfgs brings it back",
+                "an optimisation per layer and direction",
+                "see the benchmark",
+            )
+        )
     if len(references) == 1:
-        entries.append(LeftOut("recommendation (fc6)", "the reference was given", "411 MB of weights" if features == "vgg19" else "one descriptor per slice"))
+        entries.append(
+            LeftOut(
+                "recommendation (fc6)",
+                "the reference was given",
+                "411 MB of weights" if features == "vgg19" else "one descriptor per slice",
+            )
+        )
     if len(chosen) > 1:
-        entries.append(LeftOut("reference features for every slice", "computed once for all slices", f"{len(chosen) - 1} of {len(chosen)} extractions"))
+        entries.append(
+            LeftOut(
+                "reference features for every slice",
+                "computed once for all slices",
+                f"{len(chosen) - 1} of {len(chosen)} extractions",
+            )
+        )
     if settings.luminance == "keep":
         entries.append(LeftOut("smoothing of L*", "the scan's own luminance is kept", "a third of the smoothing"))
-    entries.append(LeftOut("second smoothing solve", "S(T') - S(T) = S(T' - T), the smoother is linear", "half of the smoothing"))
+    entries.append(
+        LeftOut("second smoothing solve", "S(T') - S(T) = S(T' - T), the smoother is linear", "half of the smoothing")
+    )
     if smoother == "regression":
-        entries.append(LeftOut("FGS", "colour is regressed on luminance instead; --smoother fgs brings it back", "a solve per channel and slice"))
+        entries.append(
+            LeftOut(
+                "FGS",
+                "colour is regressed on luminance instead; --smoother fgs brings it back",
+                "a solve per channel and slice",
+            )
+        )
     entries.append(LeftOut("alpha volume", "renderers derive opacity from luminance", "a third of the output"))
     return entries

@@ -101,8 +101,13 @@ def tissue_mask(rgb: np.ndarray) -> np.ndarray:
     solid = ~blue & ~_background(lab, blue)
     solid = cv2.morphologyEx(solid.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0
     parts = _tissue_parts(solid, lab)
-    filled = ndimage.binary_fill_holes(parts) & ~cv2.dilate(blue.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
+    filled = ndimage.binary_fill_holes(parts) & ~cv2.dilate(blue.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(
+        bool
+    )
     mask = filled | (parts & ~blue)
+    # pixels next to gelatin are mixed with its blue: a rim one pixel wide goes as well
+    near_blue = cv2.dilate(blue.astype(np.uint8), np.ones((5, 5), np.uint8)).astype(bool)
+    mask &= ~(near_blue & (lab[..., 2] < 6))
     full = cv2.resize(mask.astype(np.float32), rgb.shape[1::-1], interpolation=cv2.INTER_LINEAR) > 0.5
     return full
 

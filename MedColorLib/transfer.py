@@ -14,7 +14,8 @@ import numpy as np
 from .color.gamut import gamma_decode, gamma_encode, lab_to_srgb_in_gamut
 from .color.lab import gray_to_lightness, lab_to_srgb, srgb_to_lab
 from .filters import FILTERS, regression
-from .grid import MARGIN, Grid, from_grid
+from .grid import MARGIN, from_grid
+from .intensity import apply_curve
 
 _GAMMA = 0.5  # the paper encodes with 1/2 and decodes with 2
 
@@ -27,15 +28,22 @@ class TransferParameters:
         smoother: "regression" or one of FILTERS.
         luminance: "keep" or "paper".
         gamma: transfer between gamma 1/2 and 2.
+        guide_curve: (256,) how the regression spreads display grey 0..1 over its bins (`intensity.spreading_curve`);
+            None leaves it as it is. Not used by the other smoothers.
     """
 
     smoother: str
     luminance: str
     gamma: bool
+    guide_curve: np.ndarray | None = None
 
 
 def transfer(
-    grey: np.ndarray, mask: np.ndarray, matched: np.ndarray, grid_grey: np.ndarray, grid_mask: np.ndarray, grid: Grid,
+    grey: np.ndarray,
+    mask: np.ndarray,
+    matched: np.ndarray,
+    grid_grey: np.ndarray,
+    grid_mask: np.ndarray,
     parameters: TransferParameters,
 ) -> tuple[np.ndarray, int]:
     """Colour one slice.
@@ -53,10 +61,16 @@ def transfer(
     lightness = gray_to_lightness(gamma_encode(grey.astype(np.float64), gamma))
     grid_lightness = gray_to_lightness(gamma_encode(grid_grey.astype(np.float64), gamma))
     target_lab = srgb_to_lab(gamma_encode(matched_rgb, gamma))
-    difference = target_lab - np.stack([grid_lightness, np.zeros_like(grid_lightness), np.zeros_like(grid_lightness)], -1)
+    difference = target_lab - np.stack(
+        [grid_lightness, np.zeros_like(grid_lightness), np.zeros_like(grid_lightness)], -1
+    )
     if parameters.luminance == "keep":
         difference = difference[..., 1:]
-    smoothed = _smooth(difference, lightness, grid_lightness, grid_mask, grid, parameters.smoother)
+    if parameters.smoother == "regression":
+        smoothed = _regressed(difference, grey, grid_grey, grid_mask, parameters.guide_curve)
+    else:
+        guide = (lightness * 2.55).astype(np.float32)
+        smoothed = FILTERS[parameters.smoother](from_grid(difference.astype(np.float32), grey.shape), guide)
     lab = np.zeros((*grey.shape, 3))
     lab[..., 0] = lightness
     lab[..., 3 - smoothed.shape[2] :] += smoothed
@@ -70,16 +84,11 @@ def transfer(
     return rgb, clipped
 
 
-def _smooth(difference, lightness, grid_lightness, grid_mask, grid, smoother) -> np.ndarray:
-    """S(difference) at full resolution, guided by the slice's lightness in 8-bit units."""
-    guide = (lightness * 2.55).astype(np.float32)
-    if smoother == "regression":
-        # fitted where the matches are, on the grid; read back at full resolution
-        inner = np.s_[MARGIN:-MARGIN, MARGIN:-MARGIN]
-        weight = grid_mask[inner].astype(np.float32)
-        model = regression.fit(
-            difference[inner], grid_lightness[inner] * 2.55, weight, regression.RegressionParameters()
-        )
-        return regression.predict(model, guide)
-    source = from_grid(difference.astype(np.float32), lightness.shape)
-    return FILTERS[smoother](source, guide)
+def _regressed(difference, grey, grid_grey, grid_mask, guide_curve) -> np.ndarray:
+    """Colour as a function of grey: fitted where the matches are, on the grid; read back at full resolution."""
+    inner = np.s_[MARGIN:-MARGIN, MARGIN:-MARGIN]
+    if guide_curve is not None:
+        grey, grid_grey = apply_curve(grey, guide_curve), apply_curve(grid_grey, guide_curve)
+    weight = grid_mask[inner].astype(np.float32)
+    model = regression.fit(difference[inner], 255 * grid_grey[inner], weight, regression.RegressionParameters())
+    return regression.predict(model, 255 * grey)

@@ -65,7 +65,9 @@ def refine(
     shape2 = reference.shape[2:]
     for _ in range(iterations):
         for dy, dx in ((0, 1), (0, -1), (1, 0), (-1, 0)):
-            field, best = _try(target, reference, _propagated(field, dy, dx, shape2), field, best, allowed, patch_radius)
+            field, best = _try(
+                target, reference, _propagated(field, dy, dx, shape2), field, best, allowed, patch_radius
+            )
         radius = search_radius
         while radius >= 1:
             candidate = _jittered(field, radius, shape2, generator)

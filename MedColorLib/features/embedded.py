@@ -28,7 +28,9 @@ class Embedded:
     def descriptor(self, luminance: Tensor) -> Tensor:
         """(N, 1, H, W) -> (N, D): self-similarity and grey on an 8 x 8 raster of the slice, unit length."""
         coarse = _layer_features(luminance.float(), 4)
-        raster = torch.cat([adaptive_avg_pool2d(coarse, 8), adaptive_avg_pool2d(luminance.float(), 8) * 2], 1).flatten(1)
+        raster = torch.cat([adaptive_avg_pool2d(coarse, 8), adaptive_avg_pool2d(luminance.float(), 8) * 2], 1).flatten(
+            1
+        )
         return raster / raster.norm(dim=1, keepdim=True).clamp_min(1e-12)
 
 

@@ -145,10 +145,11 @@ def _cut_share(k: int, shape: tuple[int, int], ijk_to_ras: np.ndarray, cut: Cut)
         unit = normal / np.linalg.norm(normal)
         step = unit @ ijk_to_ras[:3, :3]
         offset = unit @ (ijk_to_ras[:3, 3] - point)
-        # In voxels across the plane: the face is one voxel wide at any angle and spacing.
+        # In voxels across the plane, so that the face is equally wide at any angle and spacing: two voxels, because on
+        # a narrower one shading shows each voxel as a stair.
         distance = (step[0] * i + step[1] * j + step[2] * k + offset) / np.abs(step).max()
         depth = np.minimum(depth, distance.astype(np.float32))
-    return np.clip(depth + 0.5, 0.0, 1.0)
+    return np.clip(depth / 2 + 0.5, 0.0, 1.0)
 
 
 def prepare_grid(color: ColorVolume, voxel_budget: int = VOXEL_BUDGET) -> Grid | None:

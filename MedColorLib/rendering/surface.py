@@ -62,17 +62,24 @@ def _dress(rgba: np.ndarray) -> None:
     alpha = rgba[..., 3]
     tissue = alpha > ALPHA_AIR
     near_air = _dilated(~tissue)
-    _take_colour(rgba, np.flatnonzero(tissue & near_air), tissue & ~near_air, only_if_brighter=True)
+    core = tissue & ~near_air
+    _take_colour(rgba, np.flatnonzero(tissue & near_air), core, only_if_brighter=True)
     reached = _dilated(tissue)
-    shell = np.flatnonzero(reached & ~tissue)
-    _take_colour(rgba, shell, tissue)
+    air = reached & ~tissue
+    _take_colour(rgba, np.flatnonzero(air), tissue)
     _take_colour(rgba, np.flatnonzero(_dilated(reached) & ~reached), reached)
     alpha *= reached
-    alpha = alpha.reshape(-1)
-    total = np.zeros(shell.size, dtype=np.float32)
-    for offset, weight in _neighbourhood(tissue.shape):
-        total += weight * alpha[shell + offset]
-    rgba.reshape(-1, 4)[shell, 3] = np.rint(total).astype(np.uint8)
+    # What is too thin to have a core would fade away.
+    _soften_alpha(rgba, np.flatnonzero(air | (tissue & near_air & _dilated(core))))
+
+
+def _soften_alpha(rgba: np.ndarray, targets: np.ndarray) -> None:
+    """Replace alpha of the voxels `targets` (flat indices) by the binomial mean of their surroundings, in place."""
+    alpha = rgba.reshape(-1, 4)[:, 3]
+    total = np.zeros(targets.size, dtype=np.float32)
+    for offset, weight in _neighbourhood(rgba.shape[:3]):
+        total += weight * alpha[targets + offset]
+    alpha[targets] = np.rint(total).astype(np.uint8)
 
 
 def _neighbourhood(shape: tuple[int, int, int]) -> list[tuple[int, float]]:
