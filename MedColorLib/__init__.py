@@ -40,7 +40,7 @@ _WHERE = {
     "write_color_volume": "volume_io",
 }
 
-__all__ = list(_WHERE)  # noqa: PLE0605 - one list of public names, one place
+__all__ = list(_WHERE) 
 
 
 def __getattr__(name: str):

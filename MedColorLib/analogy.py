@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import adaptive_avg_pool2d
 
-from .correspondence import exact, patchmatch
+from .correspondence import exact, patchmatch, windowed
 from .correspondence.field import upsample, warp
 
 PATCH_RADIUS = {5: 1, 4: 1, 3: 1, 2: 2, 1: 2}  # patches of 3 at layers 5, 4, 3 and 5 at layers 2, 1
@@ -30,7 +30,7 @@ class Match:
         layer: 5 (coarsest) to 1.
         field: (N, h, w) target to reference; similarity: (N, h, w), the mean over the patch of <F_A, F_B> + <F_A', F_B'>.
         reverse: (N, h2, w2) reference to target, or None when nothing reads it.
-        searched: how each layer was searched, layer -> "exact" or "patchmatch".
+        searched: how each layer was searched, layer -> "exact", "windowed" or "patchmatch".
     """
 
     layer: int
@@ -66,6 +66,7 @@ def deep_image_analogy(
     stop_layer: int,
     context: Context | None = None,
     reconstruct=None,
+    fine_search: str = "windowed",
     iterations: int = 4,
     seed: int = 0,
     keep_reverse: bool = False,
@@ -80,8 +81,9 @@ def deep_image_analogy(
         context: position and grey that join the features, or None (the paper).
         reconstruct: how matched features come one layer down, `f(layer, coarse_warped, fine_warped) -> features of
             layer`; None takes the reference's own finer features warped by the upsampled field.
-        iterations: PatchMatch iterations where the search is not exhaustive.
-        seed: of the random search.
+        fine_search: how layers are searched whose similarity would not fit: "windowed" (exhaustive around the start) or
+            "patchmatch" (the paper's).
+        iterations, seed: of PatchMatch.
     """
     generator = torch.Generator().manual_seed(seed)
     field = reverse = None
@@ -97,15 +99,14 @@ def deep_image_analogy(
             pair = _with_context(pair, context)
         masks = _mask_at(target_mask, a.shape[2:]), _mask_at(reference_mask[None], b.shape[2:])[0]
         both = keep_reverse or layer > stop_layer
-        if a.shape[2] * a.shape[3] * b.shape[2] * b.shape[3] <= EXACT_LIMIT or layer == 5:
+        if layer == 5 or a.shape[2] * a.shape[3] * b.shape[2] * b.shape[3] <= EXACT_LIMIT:
             searched[layer] = "exact"
             field, similarity, reverse, _ = exact.search(*pair, PATCH_RADIUS[layer], *masks, both)
         else:
-            searched[layer] = "patchmatch"
-            options = (PATCH_RADIUS[layer], SEARCH_RADIUS[layer], iterations, generator)
-            forward = patchmatch.refine(*pair, field, masks[1], *options)
-            reverse = _refine_reverse(*pair, reverse, masks[0], options) if both else None
-            field, similarity = forward
+            searched[layer] = fine_search
+            refine = _fine_search(fine_search, layer, iterations, generator)
+            field, similarity = refine(*pair, field, masks[1])
+            reverse = _refine_reverse(refine, *pair, reverse, masks[0]) if both else None
     return Match(stop_layer, field, similarity, reverse, searched)
 
 
@@ -183,10 +184,18 @@ def _mask_at(mask: Tensor, shape) -> Tensor:
     return small
 
 
-def _refine_reverse(target, reference, reverse, target_masks, options):
-    """PatchMatch from the reference to each slice; slice by slice, since each has its own mask."""
+def _fine_search(name: str, layer: int, iterations: int, generator: torch.Generator):
+    """Function `refine(target, reference, field, reference_mask) -> (field, similarity)`."""
+    radius = PATCH_RADIUS[layer]
+    if name == "windowed":
+        return lambda *pair: windowed.refine(*pair, radius)
+    return lambda *pair: patchmatch.refine(*pair, radius, SEARCH_RADIUS[layer], iterations, generator)
+
+
+def _refine_reverse(refine, target, reference, reverse, target_masks):
+    """Search from the reference to each slice; slice by slice, since each has its own mask."""
     fields = [
-        patchmatch.refine(reference[n : n + 1], target[n : n + 1], reverse[n : n + 1], target_masks[n], *options)[0]
+        refine(reference[n : n + 1], target[n : n + 1], reverse[n : n + 1], target_masks[n])[0]
         for n in range(len(target))
     ]
     return torch.cat(fields)

@@ -74,7 +74,7 @@ def _add_colorize(commands) -> None:
     )
     add("--smoother", choices=SMOOTHERS, default="auto", help="how colour is spread (default: the preset's)")
     add("--luminance", choices=LUMINANCE, default="keep", help="the scan's own, or the reference's as in the paper")
-    add("--gamma", choices=("on", "off"), default="on", help="transfer between gamma 1/2 and 2 (default: %(default)s)")
+    add("--gamma", choices=("on", "off"), help="transfer between gamma 1/2 and 2 (default: on in full, else off)")
     add(
         "--reconstruction",
         choices=RECONSTRUCTIONS,
@@ -131,7 +131,7 @@ def _colorize(arguments) -> None:
     names = ("preset", "features", "smoother", "luminance", "reconstruction", "slices", "plane", "device", "seed")
     options = {name: getattr(arguments, name) for name in names}
     window = tuple(arguments.window) if arguments.window else None
-    settings = Settings(**options, gamma=arguments.gamma == "on", window=window)
+    settings = Settings(**options, gamma={"on": True, "off": False}.get(arguments.gamma), window=window)
     if not arguments.plan:
         _check_outputs(arguments, check_output_path)
     volume = read_volume(arguments.input)

@@ -31,5 +31,5 @@ class MissingPackageError(MedColorError):
     """An optional package is not installed; the message carries the install command."""
 
 
-class Cancelled(Exception):  # noqa: N818 - a user's decision, not an error
+class Cancelled(Exception):
     """Raised inside a computation after `cancelled()` returned True; nothing has been written."""

@@ -22,18 +22,21 @@ class Preset:
         stop_layer: last layer of the analogy, 5 (coarsest) to 1.
         smoother: what `smoother="auto"` means.
         context: whether body-relative position and grey join the features (they are not in the paper).
+        gamma: what `gamma=None` means. The paper's gamma ties chroma to the slice's own luminance: better where that is
+            the photograph's, worse where contrast differs between the modalities (see the benchmark).
     """
 
     grid_px: int
     stop_layer: int
     smoother: str
     context: bool
+    gamma: bool
 
 
 PRESETS = {
-    "draft": Preset(grid_px=160, stop_layer=3, smoother="regression", context=True),
-    "balanced": Preset(grid_px=256, stop_layer=3, smoother="regression", context=True),
-    "full": Preset(grid_px=256, stop_layer=1, smoother="fgs", context=False),
+    "draft": Preset(grid_px=160, stop_layer=3, smoother="regression", context=True, gamma=False),
+    "balanced": Preset(grid_px=256, stop_layer=3, smoother="regression", context=True, gamma=False),
+    "full": Preset(grid_px=256, stop_layer=1, smoother="fgs", context=False, gamma=True),
 }
 
 
@@ -47,7 +50,7 @@ class Settings:
         smoother: "auto" takes the preset's; "regression" (colour as a function of luminance within a neighbourhood),
             "fgs" (the paper), "guided", "domain-transform", "wls".
         luminance: "keep" leaves the scan's own; "paper" lets the reference's through as the paper's equation does.
-        gamma: colour transfer between gamma 1/2 and 2 (the paper, section 4.1).
+        gamma: colour transfer between gamma 1/2 and 2 (the paper, section 4.1); None takes the preset's.
         window: (low, high) in the volume's units, or None for the file's window or robust percentiles.
         slices: (start, stop) of transverse slices to colour, counted from the feet; None for all. Others stay black.
         plane: "transverse", or "acquired" to take the array's first axis as the stack.
@@ -62,7 +65,7 @@ class Settings:
     features: str = "auto"
     smoother: str = "auto"
     luminance: str = "keep"
-    gamma: bool = True
+    gamma: bool | None = None
     window: tuple[float, float] | None = None
     slices: tuple[int, int] | None = None
     plane: str = "transverse"
@@ -91,6 +94,11 @@ class Settings:
     def resolved_smoother(self) -> str:
         """The smoother after `auto` has been replaced."""
         return PRESETS[self.preset].smoother if self.smoother == "auto" else self.smoother
+
+    @property
+    def resolved_gamma(self) -> bool:
+        """Whether gamma is used after None has been replaced."""
+        return PRESETS[self.preset].gamma if self.gamma is None else self.gamma
 
     def to_dict(self) -> dict:
         """Plain data, JSON-ready."""

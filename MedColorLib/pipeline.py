@@ -251,7 +251,7 @@ def _color_batch(prepared, engine, stack, ks, index, run) -> int:
     from .transfer import TransferParameters, transfer
 
     settings = prepared.settings
-    parameters = TransferParameters(prepared.plan.smoother, settings.luminance, settings.gamma, engine.guide_curve)
+    parameters = TransferParameters(prepared.plan.smoother, settings.luminance, settings.resolved_gamma, engine.guide_curve)
     greys, masks, matched = engine.match(ks, index)
     clipped = 0
     with run.timed("colour"):

@@ -151,9 +151,9 @@ def _plan(volume, settings, order, view, body, chosen, window, references, grid,
         "references": "; ".join(f"{r.name} ({100 * r.removed:.0f} % removed as not tissue)" for r in references),
         "features": f"{network}{' (auto)' if settings.features == 'auto' else ''}, {layers}, raster {grid.height} x {grid.width}, on {device}",
         "matching": "both directions, exhaustive"
-        + (" at layers 5 to 3, PatchMatch below" if preset.stop_layer < 3 else ""),
+        + (" at layers 5 to 3, in windows below" if preset.stop_layer < 3 else ""),
         "colour": f"{smoother}; luminance {'of the scan' if settings.luminance == 'keep' else 'of the reference (paper)'}; "
-        f"gamma {'1/2 and 2' if settings.gamma else 'off'}",
+        f"gamma {'1/2 and 2' if settings.resolved_gamma else 'off'}",
     }
     left_out = _left_out(settings, preset, smoother, features, view, body, chosen, references, repeats, cropped)
     return Plan(steps, left_out, tuple(chosen), features, device, smoother)

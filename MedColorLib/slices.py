@@ -50,5 +50,5 @@ def slice_order(ijk_to_ras: np.ndarray, plane: str = "transverse") -> SliceOrder
         if fit > best + 1e-9:
             best, axes = fit, candidate
     stack, row, column = axes
-    flips = (by_array_axis[2, stack] < 0, by_array_axis[1, row] > 0, by_array_axis[0, column] < 0)
+    flips = (by_array_axis[2, stack] < 0, by_array_axis[1, row] > 0, by_array_axis[0, column] > 0)
     return SliceOrder(axes, tuple(bool(f) for f in flips))

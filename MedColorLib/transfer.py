@@ -56,6 +56,20 @@ def transfer(
     Returns:
         (rows, cols, 3) uint8 sRGB, black outside the mask; number of pixels drawn into the gamut.
     """
+    rgb, clipped = lab_to_srgb_in_gamut(transfer_lab(grey, mask, matched, grid_grey, grid_mask, parameters))
+    rgb[~mask] = 0
+    return rgb, clipped
+
+
+def transfer_lab(
+    grey: np.ndarray,
+    mask: np.ndarray,
+    matched: np.ndarray,
+    grid_grey: np.ndarray,
+    grid_mask: np.ndarray,
+    parameters: TransferParameters,
+) -> np.ndarray:
+    """`transfer` before its colours are drawn into the gamut: (rows, cols, 3) L* a* b* float64, 0 outside the mask."""
     matched_rgb = np.clip(lab_to_srgb(matched.astype(np.float64)), 0, 1)
     gamma = _GAMMA if parameters.gamma else 1.0
     lightness = gray_to_lightness(gamma_encode(grey.astype(np.float64), gamma))
@@ -79,9 +93,7 @@ def transfer(
         if parameters.luminance == "keep":  # exact again: clipping before decoding may have moved it
             lab[..., 0] = gray_to_lightness(grey.astype(np.float64))
     lab[~mask] = 0
-    rgb, clipped = lab_to_srgb_in_gamut(lab)
-    rgb[~mask] = 0
-    return rgb, clipped
+    return lab
 
 
 def _regressed(difference, grey, grid_grey, grid_mask, guide_curve) -> np.ndarray:

@@ -6,5 +6,6 @@ side. `field.py` holds what can be done with one; the searches are interchangeab
 | file | search | when |
 | --- | --- | --- |
 | `exact.py` | every position against every position, as one matrix product | wherever the matrix fits: coarse layers |
-| `patchmatch.py` | propagation and random search around a start (Barnes et al. 2009) | fine layers of `full` |
+| `windowed.py` | every position of a window around the start, as small matrix products | fine layers of `full` |
+| `patchmatch.py` | propagation and random search around a start (Barnes et al. 2009), as in the paper | to compare with |
 """

@@ -54,7 +54,7 @@ def lambda_schedule(lam: float, iterations: int, schedule: str) -> list[float]:
     return [1.5 * 0.25**t / (1.0 - 0.25**iterations) * lam for t in range(1, iterations + 1)]
 
 
-def fast_global_smoother(  # noqa: PLR0917 - positional as published
+def fast_global_smoother(
     source: np.ndarray | torch.Tensor,
     guide: np.ndarray | torch.Tensor,
     lam: float = 32.0,

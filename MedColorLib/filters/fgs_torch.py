@@ -84,10 +84,9 @@ def _transposed(planes: torch.Tensor) -> torch.Tensor:
     if planes.device.type != "cpu":
         return planes.transpose(-1, -2).contiguous()
     result = planes.new_empty((*planes.shape[:2], planes.shape[3], planes.shape[2]))
+    # plane by plane: torch blocks a transposing copy for the cache only when it has two dimensions
     for target, plane in zip(result.flatten(0, 1), planes.flatten(0, 1)):
-        target.copy_(
-            plane.t()
-        )  # torch blocks this copy for the cache in two dimensions only: 30 times faster than in four
+        target.copy_(plane.t())
     return result
 
 

@@ -59,7 +59,7 @@ class Sheet:
         x, y = self._corner(cell, panel)
         width, height = self.panel_size
         if picture.shape[:2] != (height, width):
-            scale = min(0.92 * width / picture.shape[1], (height - 4 * self._unit) / picture.shape[0])
+            scale = min((width - 5 * self._unit) / picture.shape[1], (height - 4 * self._unit) / picture.shape[0])
             fitted = tuple(max(1, round(scale * n)) for n in picture.shape[1::-1])
             picture = cv2.resize(picture, fitted, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC)
         top, left = y + (height - picture.shape[0]) // 2, x + (width - picture.shape[1]) // 2

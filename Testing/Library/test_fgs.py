@@ -341,6 +341,17 @@ def test_kinds_dtypes_and_layouts():
     assert low.dtype == torch.bfloat16
 
 
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
+def test_cuda_agrees_with_cpu():
+    rng = np.random.default_rng(13)
+    source = torch.from_numpy((rng.random((2, 2, 200, 333)) * 100).astype(np.float32))
+    guide = torch.from_numpy(rng.integers(0, 256, (2, 1, 200, 333)))
+    for lam in (32.0, 1e12):
+        got = fgs_torch(source.cuda(), guide.cuda(), lam)
+        assert got.is_cuda
+        torch.testing.assert_close(got.cpu(), fgs_torch(source, guide, lam), rtol=2e-6, atol=0.0)
+
+
 def test_arguments_are_not_altered_and_need_not_be_writable_or_contiguous():
     rng = np.random.default_rng(12)
     source, guide, trust = rng.random((18, 24, 3)), rng.random((18, 24)) * 255, rng.random((18, 24))

