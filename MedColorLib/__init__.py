@@ -40,7 +40,7 @@ _WHERE = {
     "write_color_volume": "volume_io",
 }
 
-__all__ = list(_WHERE) 
+__all__ = list(_WHERE)
 
 
 def __getattr__(name: str):

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from .errors import InputError
-from .intensity import finite_sample
+from .intensity import Window, apply_window, finite_sample, strided
 
 _WORK_SIDE = 256  # in-plane pixels at which the outline is found; finer adds noise and time, not outline
+_ENDS = (0.5, 99.5)  # percentiles: one bad voxel does not set the scale
 
 
 @dataclass(frozen=True)
@@ -71,13 +72,9 @@ def find_body(array: np.ndarray) -> Body:
     """
     from scipy import ndimage
 
-    sample = finite_sample(array)
-    low, high = np.percentile(sample, [0.5, 99.5])
-    if low == high:
-        low, high = sample.min(), sample.max()
-    clipped = np.clip(sample, low, high)
-    threshold = otsu_threshold(clipped)
-    coarse = _coarse_planes(array, low, high) > threshold
+    measured = _measured_range(array)
+    level = otsu_threshold(_normalised(strided(array), measured))
+    coarse = _coarse_planes(array, measured) > level
     coarse = _largest_parts(_opened(coarse))
     if not coarse.any():
         raise InputError("body: nothing stands out of the background; check the volume or give a window")
@@ -85,10 +82,60 @@ def find_body(array: np.ndarray) -> Body:
     for k in range(len(coarse)):
         if coarse[k].any():
             coarse[k] = _filled(coarse[k], radius, ndimage)
+    threshold = measured.window.low * (1 - level) + measured.window.high * level
     return Body(coarse, array.shape, threshold, _boxes(coarse, array.shape))
 
 
-def _coarse_planes(array: np.ndarray, low: float, high: float) -> np.ndarray:
+@dataclass(frozen=True)
+class _Measured:
+    """Robust ends of what the scanner measured, the value below which nothing was, and what stands for it (0 = low)."""
+
+    window: Window
+    floor: float
+    missing_as: float
+
+
+def _measured_range(array: np.ndarray) -> _Measured:
+    """Tell padding from measurement.
+
+    Scanners fill what lies outside their round field of view with one value far below the rest (-2000, -3024, -32768),
+    and exports with NaN. Between padding and air, Otsu would find a circle. Where the values next to the missing ones are
+    air, the missing ones are air, too; where they are not, the missing ones are the only air there is.
+    """
+    halves = finite_sample(array) / 2  # the difference of extremes stays finite
+    floor = halves.min()
+    above = halves[halves > floor]
+    if above.size and above.min() - floor > 0.2 * np.ptp(np.percentile(above, _ENDS)) > 0:
+        halves, floor = above, above.min()
+    low, high = np.percentile(halves, _ENDS)
+    if low == high:
+        low, high = halves.min(), halves.max()
+    window, floor = Window(2 * float(low), 2 * float(high), "robust ends"), 2 * float(floor)
+    return _Measured(window, floor, 0.0 if _air_next_to_missing(array, floor, window) else -0.5)
+
+
+def _air_next_to_missing(array: np.ndarray, floor: float, window: Window) -> bool:
+    """Whether most pixels at the rim of what is missing are dark; True where there is no rim."""
+    import cv2
+
+    rim_size = dark = 0
+    for plane in array[:: max(1, len(array) // 24)]:
+        missing = (~(plane >= floor)).astype(np.uint8)
+        near, far = (cv2.dilate(missing, np.ones((side, side), np.uint8)) for side in (3, 7))
+        rim = (far > 0) & (near == 0)  # the first pixel may be half missing
+        rim_size += np.count_nonzero(rim)
+        dark += np.count_nonzero(apply_window(plane[rim], window) < 0.1)
+    return dark >= 0.5 * rim_size
+
+
+def _normalised(values: np.ndarray, measured: _Measured) -> np.ndarray:
+    """Low to high as 0..1 (float32 holds it, whatever the units); what was not measured as `missing_as`."""
+    grey = apply_window(values, measured.window)
+    grey[~(values >= measured.floor)] = measured.missing_as
+    return grey
+
+
+def _coarse_planes(array: np.ndarray, measured: _Measured) -> np.ndarray:
     import cv2
 
     rows, cols = array.shape[1:]
@@ -96,7 +143,7 @@ def _coarse_planes(array: np.ndarray, low: float, high: float) -> np.ndarray:
     size = (max(1, round(cols * scale)), max(1, round(rows * scale)))
     out = np.empty((len(array), size[1], size[0]), np.float32)
     for k, plane in enumerate(array):
-        values = np.nan_to_num(np.clip(plane.astype(np.float64), low, high), nan=low).astype(np.float32)
+        values = _normalised(plane, measured)
         values = cv2.resize(values, size, interpolation=cv2.INTER_AREA) if scale < 1 else values
         out[k] = cv2.GaussianBlur(values, (0, 0), 0.7)  # single noisy pixels do not make outline
     return out

@@ -45,6 +45,7 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     _add_colorize(commands)
     _add_render(commands)
+    _add_recommend(commands)
     _add_weights(commands)
     demo = commands.add_parser("demo", help="colour and render a sample made by formula: needs no download")
     demo.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help="folder for the results")
@@ -103,6 +104,17 @@ def _add_render(commands) -> None:
     command.add_argument("--grey", metavar="INPUT", help="the grey volume, to stand beside the colours")
     command.add_argument("--size", nargs=2, type=int, default=(1600, 1200), metavar=("W", "H"))
     command.set_defaults(run=_render)
+
+
+def _add_recommend(commands) -> None:
+    command = commands.add_parser("recommend", help="references of a library that look most like a volume")
+    command.add_argument("input", metavar="INPUT", help="the grey volume")
+    command.add_argument("--library", required=True, metavar="DIR", help="folder of colour pictures")
+    command.add_argument("--top", type=int, default=3, metavar="N", help="how many to name (default: %(default)s)")
+    command.add_argument("--slice", type=int, metavar="K", help="one transverse slice, counted from the feet")
+    command.add_argument("--features", choices=FEATURES, default="auto")
+    command.add_argument("--device", default="auto")
+    command.set_defaults(run=_recommend)
 
 
 def _add_weights(commands) -> None:
@@ -171,6 +183,18 @@ def _render(arguments) -> None:
     grey = read_volume(arguments.grey) if arguments.grey else None
     render_to_png(arguments.output, color, grey, size=tuple(arguments.size))
     print(arguments.output)
+
+
+def _recommend(arguments) -> None:
+    from .recommend import recommend
+    from .volume_io import read_volume
+
+    volume = read_volume(arguments.input)
+    options = {"features": arguments.features, "device": arguments.device}
+    with _Bar("describing") as bar:
+        found = recommend(volume, arguments.library, arguments.top, arguments.slice, progress=bar, **options)
+    for path, score in found:
+        print(f"{score:.3f} {path}")
 
 
 def _weights_status(_arguments) -> None:

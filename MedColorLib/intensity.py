@@ -22,10 +22,16 @@ class Window:
     source: str
 
 
-def finite_sample(array: np.ndarray, limit: int = _SAMPLE_LIMIT) -> np.ndarray:
-    """Finite values of at most `limit` evenly strided voxels, float64, 1-D. Deterministic."""
+def strided(array: np.ndarray, limit: int = _SAMPLE_LIMIT) -> np.ndarray:
+    """Values of at most `limit` evenly strided voxels, float64, 1-D. Deterministic."""
     flat = np.asarray(array).reshape(-1)
-    values = flat[:: max(1, -(-flat.size // limit))].astype(np.float64)
+    step = -(-flat.size // limit)
+    return flat[:: step | 1].astype(np.float64)  # odd: does not stay in the same columns of a row of 2^n
+
+
+def finite_sample(array: np.ndarray, limit: int = _SAMPLE_LIMIT) -> np.ndarray:
+    """The finite ones of `strided`."""
+    values = strided(array, limit)
     return values[np.isfinite(values)]
 
 
@@ -87,7 +93,7 @@ def choose_window(
         if inside >= 0.05:
             return Window(float(proposed[0]), float(proposed[1]), "file (DICOM window)")
         note = "; the file's window shows next to nothing of the body"
-    low, high = np.percentile(sample, percentiles)
+    low, high = 2 * np.percentile(sample / 2, percentiles)  # halves: interpolation between extremes stays finite
     if low == high:  # e.g. a two-valued mask with a rare second value
         low, high = sample.min(), sample.max()
     if low == high:
@@ -101,7 +107,7 @@ def apply_window(values: np.ndarray, window: Window) -> np.ndarray:
     Computed in float64: int16 limits, 30000 HU metal and float64 beyond float32 do not overflow.
     """
     low, high = np.float64(window.low), np.float64(window.high)
-    with np.errstate(over="ignore", invalid="ignore"):
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         grey = np.asarray(values, dtype=np.float64) / 2 - low / 2  # halves: the difference of extremes stays finite
         grey /= high / 2 - low / 2
     return np.nan_to_num(np.clip(grey, 0.0, 1.0), nan=0.0).astype(np.float32)

@@ -13,12 +13,12 @@ import numpy as np
 
 from .errors import Cancelled, DeviceError
 from .features import CONTEXT_WEIGHTS
-from .grid import continue_outwards, to_grid
+from .grid import to_grid
 from .intensity import apply_curve, apply_window, spreading_curve
 from .parameters import PRESETS, Settings
 from .plan import Plan
 from .prepare import Prepared, prepare, sample_slices
-from .reference import Reference
+from .reference import Reference, on_grid
 from .volume import ColorVolume, Volume
 
 log = logging.getLogger("MedColor")
@@ -100,20 +100,12 @@ class _ReferenceOnGrid:
     def __init__(self, reference: Reference, engine: _Engine) -> None:
         import torch
 
-        from .color.lab import lightness_to_gray, srgb_to_lab
-
         self.name = reference.name
-        lab = srgb_to_lab(reference.rgb.astype(np.float64) / 255)
-        # background colour must not bleed into the outline when pixels are averaged
-        lab = continue_outwards(lab, reference.mask)
-        mask = to_grid(reference.mask, engine.grid) > 0.5
-        on_grid = continue_outwards(to_grid(lab, engine.grid), mask)
-        self.mask = mask
-        self.grey = (lightness_to_gray(on_grid[..., 0].astype(np.float64)) * mask).astype(np.float32)
-        self.lab = torch.from_numpy(on_grid.astype(np.float32)).permute(2, 0, 1)[None].to(engine.device)
+        self.grey, lab, self.mask = on_grid(reference, engine.grid)
+        self.lab = torch.from_numpy(lab.astype(np.float32)).permute(2, 0, 1)[None].to(engine.device)
         self.luminance = torch.from_numpy(self.grey)[None, None].to(engine.device)
         self.features = engine.extractor.extract(self.luminance, engine.layers)
-        self.mask_tensor = torch.from_numpy(mask).to(engine.device)
+        self.mask_tensor = torch.from_numpy(self.mask).to(engine.device)
         self.contrast = None
 
 
@@ -251,7 +243,9 @@ def _color_batch(prepared, engine, stack, ks, index, run) -> int:
     from .transfer import TransferParameters, transfer
 
     settings = prepared.settings
-    parameters = TransferParameters(prepared.plan.smoother, settings.luminance, settings.resolved_gamma, engine.guide_curve)
+    parameters = TransferParameters(
+        prepared.plan.smoother, settings.luminance, settings.resolved_gamma, engine.guide_curve
+    )
     greys, masks, matched = engine.match(ks, index)
     clipped = 0
     with run.timed("colour"):

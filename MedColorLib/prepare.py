@@ -24,7 +24,6 @@ from .volume import Volume
 log = logging.getLogger("MedColor")
 
 SAMPLE_SLICES = 7  # slices from which window and contrast curve are taken
-_NETWORK_DEPTHS = {5: "coarsest layer", 1: "all five layers"}
 
 
 @dataclass(frozen=True)
@@ -144,16 +143,19 @@ def _plan(volume, settings, order, view, body, chosen, window, references, grid,
         features
     ]
     layers = "layer 5" if preset.stop_layer == 5 else f"layers 5 to {preset.stop_layer}"
+    shape = " x ".join(map(str, volume.array.shape))
+    auto = " (auto)" if settings.features == "auto" else ""
+    searched = " at layers 5 to 3, in windows below" if preset.stop_layer < 3 else ""
+    luminance = "of the scan" if settings.luminance == "keep" else "of the reference (paper)"
+    gamma = "1/2 and 2" if settings.resolved_gamma else "off"
     steps = {
-        "volume": f"{volume.name}, {' x '.join(map(str, volume.array.shape))} (k, j, i) {volume.array.dtype}; {order.describe()}",
+        "volume": f"{volume.name}, {shape} (k, j, i) {volume.array.dtype}; {order.describe()}",
         "window": f"{window.low:g} to {window.high:g} ({window.source})",
         "body": f"{len(chosen)} of {len(view)} slices, values above {body.threshold:g}",
         "references": "; ".join(f"{r.name} ({100 * r.removed:.0f} % removed as not tissue)" for r in references),
-        "features": f"{network}{' (auto)' if settings.features == 'auto' else ''}, {layers}, raster {grid.height} x {grid.width}, on {device}",
-        "matching": "both directions, exhaustive"
-        + (" at layers 5 to 3, in windows below" if preset.stop_layer < 3 else ""),
-        "colour": f"{smoother}; luminance {'of the scan' if settings.luminance == 'keep' else 'of the reference (paper)'}; "
-        f"gamma {'1/2 and 2' if settings.resolved_gamma else 'off'}",
+        "features": f"{network}{auto}, {layers}, raster {grid.height} x {grid.width}, on {device}",
+        "matching": f"both directions, exhaustive{searched}",
+        "colour": f"{smoother}; luminance {luminance}; gamma {gamma}",
     }
     left_out = _left_out(settings, preset, smoother, features, view, body, chosen, references, repeats, cropped)
     return Plan(steps, left_out, tuple(chosen), features, device, smoother)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .errors import InputError
+from .grid import Grid, continue_outwards, to_grid
 
 
 @dataclass(frozen=True)
@@ -83,6 +84,18 @@ def prepare_reference(rgb: np.ndarray, name: str = "reference") -> Reference:
     rows, cols = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
     box = np.s_[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1]
     return Reference(np.ascontiguousarray(rgb[box]), np.ascontiguousarray(mask[box]), name, 1 - fraction)
+
+
+def on_grid(reference: Reference, grid: Grid) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Grey 0..1 (H, W), L*a*b* (H, W, 3) and tissue mask (H, W) of a prepared reference on the grid."""
+    from .color.lab import lightness_to_gray, srgb_to_lab
+
+    # background colour must not bleed into the outline when pixels are averaged
+    lab = continue_outwards(srgb_to_lab(reference.rgb.astype(np.float64) / 255), reference.mask)
+    mask = to_grid(reference.mask, grid) > 0.5
+    lab = continue_outwards(to_grid(lab, grid), mask)
+    grey = (lightness_to_gray(lab[..., 0].astype(np.float64)) * mask).astype(np.float32)
+    return grey, lab, mask
 
 
 def tissue_mask(rgb: np.ndarray) -> np.ndarray:

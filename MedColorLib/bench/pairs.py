@@ -19,7 +19,7 @@ from ..volume import Volume
 
 SIZE_PX = 256
 WARP_FRACTION = 0.03  # of the side: the largest shift of a control point
-_AIR = -0.5  # below every tissue, as air is in CT: finding the body is not what is measured here
+_AIR, _AIR_NOISE = -1.0, 0.03  # far below every tissue, as air is in CT: finding the body is not what is measured here
 SECTIONS = {"thorax": "vhf_thorax_cryosection.png", "head": "vhf_head_cryosection.png"}
 
 REMAPS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
@@ -69,7 +69,8 @@ class Pair:
     @property
     def volume(self) -> Volume:
         """The target as a volume of one slice; to be shown with the window 0..1."""
-        values = np.where(self.mask, self.grey, _AIR).astype(np.float32)
+        air = np.random.default_rng(0).normal(_AIR, _AIR_NOISE, self.mask.shape)
+        values = np.where(self.mask, self.grey, air).astype(np.float32)
         return Volume(values[None], np.diag([-1.0, -1.0, 1.0, 1.0]), name=f"{self.section.name}, {self.remap}")
 
 
