@@ -153,7 +153,8 @@ def _opened(mask: np.ndarray) -> np.ndarray:
     """Cut thin bridges (head holder, sheets, lines) off; kept as it is where that would leave nothing."""
     import cv2
 
-    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
+    side = 2 * max(1, round(max(mask.shape[1:]) / 128)) + 1
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
     opened = np.stack([cv2.morphologyEx(plane.astype(np.uint8), cv2.MORPH_OPEN, kernel) > 0 for plane in mask])
     return opened if opened.any() else mask
 

@@ -2,7 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 from .errors import DeviceError
+
+
+@contextmanager
+def memory_errors(device: str) -> Iterator[None]:
+    """Turn torch's out-of-memory error into a DeviceError that says what to do."""
+    import torch
+
+    try:
+        yield
+    except torch.cuda.OutOfMemoryError as error:
+        torch.cuda.empty_cache()
+        raise DeviceError(
+            f"device {device}: its memory is too small; close other programs, use --preset draft or --device cpu"
+        ) from error
 
 
 def choose_device(name: str) -> str:

@@ -11,6 +11,7 @@ from contextlib import contextmanager
 
 import numpy as np
 
+from .device import memory_errors
 from .errors import Cancelled, DeviceError
 from .features import CONTEXT_WEIGHTS
 from .grid import to_grid
@@ -226,7 +227,8 @@ def _color_slices(prepared: Prepared, engine: _Engine, stack: np.ndarray, run: _
             ks = own[position : position + batch]
             run.step(0.05 + 0.94 * done / len(slices), f"slice {done + 1} of {len(slices)}")
             try:
-                clipped += _color_batch(prepared, engine, stack, ks, index, run)
+                with memory_errors(engine.device):
+                    clipped += _color_batch(prepared, engine, stack, ks, index, run)
             except DeviceError:
                 if batch == 1:
                     raise

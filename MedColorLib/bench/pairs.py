@@ -19,7 +19,7 @@ from ..volume import Volume
 
 SIZE_PX = 256
 WARP_FRACTION = 0.03  # of the side: the largest shift of a control point
-_AIR, _AIR_NOISE = -1.0, 0.03  # far below every tissue, as air is in CT: finding the body is not what is measured here
+_AIR, _AIR_NOISE = -2.0, 0.05  # far below every tissue, as air is in CT: finding the body is not what is measured here
 SECTIONS = {"thorax": "vhf_thorax_cryosection.png", "head": "vhf_head_cryosection.png"}
 
 REMAPS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
