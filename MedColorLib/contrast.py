@@ -38,6 +38,21 @@ class Contrast:
         """0..1, how far grey may help the matching: nothing where it explains a tenth of the luminance or less."""
         return float(np.clip((self.explained - 0.1) / 0.2, 0, 1))
 
+    @property
+    def inverse(self) -> np.ndarray | None:
+        """(256,) display grey at matched grey index / 255; None where the curve both rises and falls.
+
+        Ripples of up to a tenth of the way, which a learned curve has where grey values are rare, are levelled.
+        """
+        steps = np.diff(self.curve)
+        rises, falls = steps[steps > 0].sum(), -steps[steps < 0].sum()
+        if min(rises, falls) > 0.1 * (rises + falls):
+            return None
+        nodes = np.linspace(0, 1, len(self.curve))
+        if rises >= falls:
+            return np.interp(nodes, np.maximum.accumulate(self.curve), nodes)
+        return np.interp(nodes, np.maximum.accumulate(self.curve[::-1]), nodes[::-1])
+
     def describe(self) -> str:
         """One line for plan, log and report."""
         return f"{self.kind} (grey explains {100 * self.explained:.0f} % of the reference's luminance)"

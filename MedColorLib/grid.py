@@ -43,6 +43,7 @@ def to_grid(picture: np.ndarray, grid: Grid) -> np.ndarray:
     shrinks = picture.shape[0] > rows or picture.shape[1] > cols
     method = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
     out = cv2.resize(np.ascontiguousarray(picture, dtype=np.float32), (cols, rows), interpolation=method)
+    out = out if out.ndim == picture.ndim else out[..., None]
     padding = ((MARGIN, MARGIN), (MARGIN, MARGIN)) + ((0, 0),) * (picture.ndim - 2)
     return np.pad(out, padding)
 

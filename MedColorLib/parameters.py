@@ -55,6 +55,8 @@ class Settings:
         slices: (start, stop) of transverse slices to colour, counted from the feet; None for all. Others stay black.
         plane: "transverse", or "acquired" to take the array's first axis as the stack.
         device: "auto", "cpu", "cuda", "cuda:1", "mps".
+        coherence_mm: neighbouring slices share their evidence of colour with a Gaussian of this width along the stack; 0
+            colours each slice by itself. Only with the smoother "regression".
         seed: of the random search, 0 .. 2^63 - 1.
         reconstruction: how features come one layer down: "warp" (the reference's own finer features) or "lbfgs" (the
             deconvolution of Liao et al.).
@@ -70,6 +72,7 @@ class Settings:
     slices: tuple[int, int] | None = None
     plane: str = "transverse"
     device: str = "auto"
+    coherence_mm: float = 3.0
     seed: int = 0
     reconstruction: str = "warp"
     batch: int = 4
@@ -85,6 +88,8 @@ class Settings:
             object.__setattr__(self, "window", _window(self.window))
         if self.slices is not None:
             object.__setattr__(self, "slices", _range(self.slices))
+        if not (math.isfinite(self.coherence_mm) and 0 <= self.coherence_mm <= 1000):
+            raise SettingsError(f"coherence_mm: expected 0 to 1000 mm, got {self.coherence_mm!r}")
         if not isinstance(self.seed, int) or not 0 <= self.seed < 2**63:
             raise SettingsError(f"seed: expected a whole number from 0 to 2^63 - 1, got {self.seed!r}")
         if not isinstance(self.batch, int) or self.batch < 1:

@@ -66,9 +66,9 @@ def colorize(
         run.step(0.02, f"loading {prepared.plan.features} features")
         engine = _Engine(prepared, run)
     stack = prepared.order.view(rgb)
-    clipped = _color_slices(prepared, engine, stack, run)
+    painter = _color_slices(prepared, engine, stack, run)
     run.step(1.0, "done")
-    report = _report(prepared, engine, run, clipped)
+    report = _report(prepared, engine, run, painter)
     return ColorVolume(rgb, volume.ijk_to_ras, report, f"{volume.name} colored")
 
 
@@ -144,11 +144,18 @@ class _Engine:
         return grey, self.prepared.body.plane(k)[j0:j1, i0:i1]
 
     def match(self, ks: Sequence[int], index: int):
-        """Matched colours T' of slices `ks` after reference `index`: greys, masks (N, H, W), Lab (N, H, W, 3)."""
+        """Match slices `ks` with reference `index`.
+
+        Returns:
+            greys and masks (N, H, W) on the grid, matched colours T' (N, H, W, 3) L*a*b*, and the trust in each slice (None
+            where nothing reads it).
+        """
         import torch
 
         from .analogy import Context, deep_image_analogy
         from .vote import matched_colors
+
+        reads_trust = self.prepared.plan.smoother == "regression"
 
         reference = self.references[index]
         greys, masks = (np.stack(parts) for parts in zip(*(self.slice_on_grid(k) for k in ks)))
@@ -161,7 +168,7 @@ class _Engine:
             position, grey = CONTEXT_WEIGHTS[self.extractor.name]
             context = Context(position, grey * reference.contrast.trust, luminance, reference.luminance)
         with self.run.timed("matching"):
-            match = deep_image_analogy(
+            found = deep_image_analogy(
                 features,
                 reference.features,
                 torch.from_numpy(masks).to(self.device),
@@ -170,10 +177,22 @@ class _Engine:
                 context,
                 self.reconstruct,
                 seed=self.settings.seed,
+                keep_reverse=reads_trust,
             )
-            self.searched = match.searched
-            lab = matched_colors(match.field, match.layer, reference.lab)
-        return greys, masks, lab.permute(0, 2, 3, 1).float().cpu().numpy()
+            self.searched = found.searched
+            lab = matched_colors(found.field, found.layer, reference.lab)
+        lab = lab.permute(0, 2, 3, 1).float().cpu().numpy()
+        trusts = self._trusts(found, reference, matched, masks, lab) if reads_trust else [None] * len(ks)
+        return greys, masks, lab, trusts
+
+    def _trusts(self, found, reference, matched, masks, lab) -> list:
+        from .color.lab import lightness_to_gray
+        from .confidence import consistency, on_full_grid, trust_of
+
+        home = on_full_grid(consistency(found.field, found.reverse), masks.shape[1:]).cpu().numpy() * masks
+        seen = np.clip(lightness_to_gray(lab[..., 0].astype(np.float64)), 0, 1)
+        inverse = reference.contrast.inverse
+        return [trust_of(*planes, inverse) for planes in zip(home, matched, seen)]
 
     def _spread_guide(self) -> np.ndarray:
         boxes = [self.slice_in_box(k) for k in sample_slices(self.prepared.plan.slices)]
@@ -216,51 +235,94 @@ class _Engine:
         return choice
 
 
-def _color_slices(prepared: Prepared, engine: _Engine, stack: np.ndarray, run: _Run) -> int:
-    """Fill `stack` (slice, row, col, 3); return how many pixels were drawn into the gamut."""
-    slices = [k for k in prepared.plan.slices if k not in prepared.repeats]
-    clipped, done, batch = 0, 0, prepared.settings.batch
-    for index in sorted(set(engine.choice.values())):
-        own = [k for k in slices if engine.choice[k] == index]
-        position = 0
-        while position < len(own):
-            ks = own[position : position + batch]
-            run.step(0.05 + 0.94 * done / len(slices), f"slice {done + 1} of {len(slices)}")
-            try:
-                with memory_errors(engine.device):
-                    clipped += _color_batch(prepared, engine, stack, ks, index, run)
-            except DeviceError:
-                if batch == 1:
-                    raise
-                batch = max(1, batch // 2)
-                log.warning("device memory is short: batches of %d slices from here on", batch)
-                continue
-            position, done = position + len(ks), done + len(ks)
-    for k, source in prepared.repeats.items():
-        stack[k] = stack[source]
-    return clipped
+def _color_slices(prepared: Prepared, engine: _Engine, stack: np.ndarray, run: _Run) -> _Painter:
+    """Fill `stack` (slice, row, col, 3), in the order of the stack."""
+    painter = _Painter(prepared, engine, stack)
+    batch = prepared.settings.batch
+    waiting = list(prepared.plan.slices)
+    while waiting:
+        ks = _next_batch(waiting, engine.choice, prepared.repeats, batch)
+        done = len(prepared.plan.slices) - len(waiting)
+        run.step(0.05 + 0.94 * done / len(prepared.plan.slices), f"slice {done + 1} of {len(prepared.plan.slices)}")
+        try:
+            with memory_errors(engine.device):
+                matches = engine.match(ks, engine.choice[ks[0]]) if ks[0] not in prepared.repeats else None
+        except DeviceError:
+            if batch == 1:
+                raise
+            batch = max(1, batch // 2)
+            log.warning("device memory is short: batches of %d slices from here on", batch)
+            continue
+        with run.timed("colour"):
+            painter.add(ks, matches)
+        waiting = waiting[len(ks) :]
+    return painter
 
 
-def _color_batch(prepared, engine, stack, ks, index, run) -> int:
-    from .transfer import TransferParameters, transfer
+def _next_batch(waiting: list[int], choice: dict[int, int], repeats: dict[int, int], batch: int) -> list[int]:
+    """The next slices that go through the network together: one reference, no repeats; or one repeat by itself."""
+    if waiting[0] in repeats:
+        return waiting[:1]
+    ks = []
+    for k in waiting[:batch]:
+        if k in repeats or choice[k] != choice[waiting[0]]:
+            break
+        ks.append(k)
+    return ks
 
-    settings = prepared.settings
-    parameters = TransferParameters(
-        prepared.plan.smoother, settings.luminance, settings.resolved_gamma, engine.guide_curve
-    )
-    greys, masks, matched = engine.match(ks, index)
-    clipped = 0
-    with run.timed("colour"):
+
+class _Painter:
+    """Colours slices from their matches; with the regression, from the evidence of their neighbours, too."""
+
+    def __init__(self, prepared: Prepared, engine: _Engine, stack: np.ndarray) -> None:
+        from .coherence import SliceAverage
+        from .transfer import TransferParameters
+
+        settings, plan = prepared.settings, prepared.plan
+        self.clipped = 0
+        self.trusted: dict[int, float] = {}
+        self.agreement: dict[int, float] = {}
+        self._engine, self._stack, self._boxes = engine, stack, prepared.body.boxes
+        self._parameters = TransferParameters(
+            plan.smoother, settings.luminance, settings.resolved_gamma, engine.guide_curve
+        )
+        self._average = SliceAverage(plan.slices, prepared.slice_spacing_mm, settings.coherence_mm)
+        self._last = None
+
+    def add(self, ks: Sequence[int], matches) -> None:
+        """Colour what can be coloured now that slices `ks` are matched; None: the same match as the slice before."""
+        if matches is not None:
+            self._last = [(grey, mask, lab, trust) for grey, mask, lab, trust in zip(*matches)]
         for n, k in enumerate(ks):
-            grey, cover = engine.slice_in_box(k)
-            rgb, count = transfer(grey, cover > 0.5, matched[n], greys[n], masks[n], parameters)
-            j0, j1, i0, i1 = prepared.body.boxes[k]
-            stack[k, j0:j1, i0:i1] = rgb
-            clipped += count
-    return clipped
+            grey, mask, lab, trust = self._last[n] if matches is not None else self._last[-1]
+            if self._parameters.smoother == "regression":
+                self._add_evidence(k, grey, mask, lab, trust)
+            else:
+                self._color_alone(k, grey, mask, lab)
+
+    def _add_evidence(self, k, grid_grey, grid_mask, lab, trust) -> None:
+        from .transfer import evidence, to_picture, transfer_evidence
+
+        self.trusted[k], self.agreement[k] = round(trust.trusted_fraction, 4), round(trust.agreement, 4)
+        sums = evidence(lab, grid_grey, grid_mask, self._parameters, trust)
+        for ready, total in self._average.push(k, sums):
+            grey, cover = self._engine.slice_in_box(ready)
+            mask = cover > 0.5
+            self._put(ready, *to_picture(transfer_evidence(grey, mask, total, self._parameters), mask))
+
+    def _color_alone(self, k, grid_grey, grid_mask, lab) -> None:
+        from .transfer import transfer
+
+        grey, cover = self._engine.slice_in_box(k)
+        self._put(k, *transfer(grey, cover > 0.5, lab, grid_grey, grid_mask, self._parameters))
+
+    def _put(self, k: int, rgb: np.ndarray, clipped: int) -> None:
+        j0, j1, i0, i1 = self._boxes[k]
+        self._stack[k, j0:j1, i0:i1] = rgb
+        self.clipped += clipped
 
 
-def _report(prepared: Prepared, engine: _Engine, run: _Run, clipped: int) -> dict:
+def _report(prepared: Prepared, engine: _Engine, run: _Run, painter: _Painter) -> dict:
     from .report import environment, peak_memory_mb
 
     volume = prepared.volume
@@ -289,6 +351,8 @@ def _report(prepared: Prepared, engine: _Engine, run: _Run, clipped: int) -> dic
             "total": round(time.perf_counter() - run.started, 4),
         },
         "peak_memory_mb": peak_memory_mb(),
-        "out_of_gamut_pixels": clipped,
+        "out_of_gamut_pixels": painter.clipped,
+        "trusted_fraction": {str(k): v for k, v in painter.trusted.items()},
+        "contrast_agreement": {str(k): v for k, v in painter.agreement.items()},
         "environment": environment(prepared.plan.device),
     }

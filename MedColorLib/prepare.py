@@ -41,6 +41,11 @@ class Prepared:
     repeats: dict[int, int]
     plan: Plan
 
+    @property
+    def slice_spacing_mm(self) -> float:
+        """Distance between neighbouring slices of the stack."""
+        return float(self.volume.spacing_mm[2 - self.order.axes[0]])
+
 
 def load_references(references: Sequence) -> tuple[Reference, ...]:
     """Prepare references given as paths (a folder stands for all pictures in it) or (h, w, 3) uint8 RGB arrays.
@@ -155,10 +160,17 @@ def _plan(volume, settings, order, view, body, chosen, window, references, grid,
         "references": "; ".join(f"{r.name} ({100 * r.removed:.0f} % removed as not tissue)" for r in references),
         "features": f"{network}{auto}, {layers}, raster {grid.height} x {grid.width}, on {device}",
         "matching": f"both directions, exhaustive{searched}",
+        "coherence": _coherence(settings, smoother, len(chosen)),
         "colour": f"{smoother}; luminance {luminance}; gamma {gamma}",
     }
     left_out = _left_out(settings, preset, smoother, features, view, body, chosen, references, repeats, cropped)
     return Plan(steps, left_out, tuple(chosen), features, device, smoother)
+
+
+def _coherence(settings: Settings, smoother: str, count: int) -> str:
+    if smoother != "regression" or settings.coherence_mm == 0 or count == 1:
+        return "each slice by itself"
+    return f"evidence averaged along the stack, sigma {settings.coherence_mm:g} mm"
 
 
 def _left_out(settings, preset, smoother, features, view, body, chosen, references, repeats, cropped) -> list[LeftOut]:
@@ -177,7 +189,9 @@ def _left_out(settings, preset, smoother, features, view, body, chosen, referenc
     if repeats:
         entries.append(
             LeftOut(
-                "repeated slices", "same values as their neighbour; its colours are copied", f"{len(repeats)} slices"
+                "repeated slices",
+                "same values as their neighbour; its matches are used again",
+                f"{len(repeats)} slices",
             )
         )
     if preset.stop_layer > 1:
@@ -190,7 +204,8 @@ def _left_out(settings, preset, smoother, features, view, body, chosen, referenc
                 "about 0.1 to 0.3 CIEDE2000",
             )
         )
-    entries.append(LeftOut("reverse map of the last layer", "nothing reads it", "one of two searches"))
+    if smoother != "regression":
+        entries.append(LeftOut("reverse map of the last layer", "nothing reads it", "one of two searches"))
     if settings.reconstruction == "warp" and features != "embedded":
         entries.append(
             LeftOut(

@@ -8,14 +8,18 @@ b* of the difference are smoothed; the scan has a* = b* = 0.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from .color.gamut import gamma_decode, gamma_encode, lab_to_srgb_in_gamut
-from .color.lab import gray_to_lightness, lab_to_srgb, srgb_to_lab
+from .color.lab import gray_to_lightness, lab_to_srgb, lightness_to_gray, srgb_to_lab
 from .filters import FILTERS, regression
 from .grid import MARGIN, from_grid
 from .intensity import apply_curve
+
+if TYPE_CHECKING:
+    from .confidence import Trust
 
 _GAMMA = 0.5  # the paper encodes with 1/2 and decodes with 2
 
@@ -45,6 +49,7 @@ def transfer(
     grid_grey: np.ndarray,
     grid_mask: np.ndarray,
     parameters: TransferParameters,
+    trust: Trust | None = None,
 ) -> tuple[np.ndarray, int]:
     """Colour one slice.
 
@@ -52,11 +57,17 @@ def transfer(
         grey: (rows, cols) display grey 0..1 of the body's box at full resolution; mask: (rows, cols) bool body.
         matched: (H, W, 3) T', L* a* b* on the grid.
         grid_grey, grid_mask: (H, W) the slice on the grid.
+        trust: how far the matches count in the regression; None trusts all alike. Not used by the other smoothers.
 
     Returns:
         (rows, cols, 3) uint8 sRGB, black outside the mask; number of pixels drawn into the gamut.
     """
-    rgb, clipped = lab_to_srgb_in_gamut(transfer_lab(grey, mask, matched, grid_grey, grid_mask, parameters))
+    return to_picture(transfer_lab(grey, mask, matched, grid_grey, grid_mask, parameters, trust), mask)
+
+
+def to_picture(lab: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, int]:
+    """(rows, cols, 3) uint8 sRGB of L* a* b*, black outside the mask; number of pixels drawn into the gamut."""
+    rgb, clipped = lab_to_srgb_in_gamut(lab)
     rgb[~mask] = 0
     return rgb, clipped
 
@@ -68,39 +79,89 @@ def transfer_lab(
     grid_grey: np.ndarray,
     grid_mask: np.ndarray,
     parameters: TransferParameters,
+    trust: Trust | None = None,
 ) -> np.ndarray:
     """`transfer` before its colours are drawn into the gamut: (rows, cols, 3) L* a* b* float64, 0 outside the mask."""
-    matched_rgb = np.clip(lab_to_srgb(matched.astype(np.float64)), 0, 1)
-    gamma = _GAMMA if parameters.gamma else 1.0
-    lightness = gray_to_lightness(gamma_encode(grey.astype(np.float64), gamma))
-    grid_lightness = gray_to_lightness(gamma_encode(grid_grey.astype(np.float64), gamma))
-    target_lab = srgb_to_lab(gamma_encode(matched_rgb, gamma))
-    difference = target_lab - np.stack(
-        [grid_lightness, np.zeros_like(grid_lightness), np.zeros_like(grid_lightness)], -1
-    )
-    if parameters.luminance == "keep":
-        difference = difference[..., 1:]
     if parameters.smoother == "regression":
-        smoothed = _regressed(difference, grey, grid_grey, grid_mask, parameters.guide_curve)
-    else:
-        guide = (lightness * 2.55).astype(np.float32)
-        smoothed = FILTERS[parameters.smoother](from_grid(difference.astype(np.float32), grey.shape), guide)
+        sums = evidence(matched, grid_grey, grid_mask, parameters, trust)
+        return transfer_evidence(grey, mask, sums, parameters)
+    difference = _difference(matched, grid_grey, parameters)
+    guide = (_lightness(grey, parameters) * 2.55).astype(np.float32)
+    smoothed = FILTERS[parameters.smoother](from_grid(difference.astype(np.float32), grey.shape), guide)
+    return _combined(grey, mask, smoothed, parameters)
+
+
+def evidence(
+    matched: np.ndarray,
+    grid_grey: np.ndarray,
+    grid_mask: np.ndarray,
+    parameters: TransferParameters,
+    trust: Trust | None = None,
+) -> np.ndarray:
+    """What a slice's matches say about colour: sums for the local regression, which may be averaged between slices.
+
+    Every match is a witness: here, at this grey of the scan, there is this colour. Where scan and photograph agree in
+    contrast, it is a second one: at this luminance of the *photograph* there is this colour. That relation holds even
+    when the match is a few pixels off; `Trust.own_relation_weight` says how much it counts.
+
+    Args:
+        trust: None trusts all matches alike and takes the first witness only.
+
+    Returns:
+        float32, see `regression.splat`.
+    """
+    weight = grid_mask.astype(np.float32) if trust is None else grid_mask * trust.confidence
+    sums = _witnesses(matched, grid_grey, weight, parameters)
+    own = 0.0 if trust is None else trust.own_relation_weight
+    if own > 0:
+        seen = np.clip(lightness_to_gray(matched[..., 0].astype(np.float64)), 0, 1)
+        sums += own * _witnesses(matched, apply_curve(seen, trust.inverse_curve), weight, parameters)
+    return sums
+
+
+def _witnesses(matched, grey, weight, parameters) -> np.ndarray:
+    inner = np.s_[MARGIN:-MARGIN, MARGIN:-MARGIN]
+    difference = _difference(matched, grey, parameters)
+    guide = 255 * _spread(grey, parameters)
+    return regression.splat(difference[inner], guide[inner], weight[inner], regression.RegressionParameters())
+
+
+def transfer_evidence(
+    grey: np.ndarray, mask: np.ndarray, sums: np.ndarray, parameters: TransferParameters
+) -> np.ndarray:
+    """Colour one slice from evidence: (rows, cols, 3) L* a* b* float64, 0 outside the mask."""
+    model = regression.solve(sums, regression.RegressionParameters())
+    return _combined(grey, mask, regression.predict(model, 255 * _spread(grey, parameters)), parameters)
+
+
+def _spread(grey: np.ndarray, parameters: TransferParameters) -> np.ndarray:
+    return grey if parameters.guide_curve is None else apply_curve(grey, parameters.guide_curve)
+
+
+def _lightness(grey: np.ndarray, parameters: TransferParameters) -> np.ndarray:
+    """L* of the slice in the space of the transfer."""
+    return gray_to_lightness(gamma_encode(grey.astype(np.float64), _GAMMA if parameters.gamma else 1.0))
+
+
+def _difference(matched: np.ndarray, grid_grey: np.ndarray, parameters: TransferParameters) -> np.ndarray:
+    """T' - T_Lab on the grid, L* a* b* or, where the scan's luminance is kept, a* b* (the scan's are 0)."""
+    lab = matched.astype(np.float64)
+    if parameters.gamma:
+        lab = srgb_to_lab(gamma_encode(np.clip(lab_to_srgb(lab), 0, 1), _GAMMA))
+    if parameters.luminance == "keep":
+        return lab[..., 1:]
+    lab[..., 0] -= _lightness(grid_grey, parameters)
+    return lab
+
+
+def _combined(grey: np.ndarray, mask: np.ndarray, smoothed: np.ndarray, parameters: TransferParameters) -> np.ndarray:
+    """S(T' - T) + T, out of the space of the transfer, 0 outside the mask."""
     lab = np.zeros((*grey.shape, 3))
-    lab[..., 0] = lightness
+    lab[..., 0] = _lightness(grey, parameters)
     lab[..., 3 - smoothed.shape[2] :] += smoothed
     if parameters.gamma:
-        lab = srgb_to_lab(gamma_decode(np.clip(lab_to_srgb(lab), 0, 1), gamma))
+        lab = srgb_to_lab(gamma_decode(np.clip(lab_to_srgb(lab), 0, 1), _GAMMA))
         if parameters.luminance == "keep":  # exact again: clipping before decoding may have moved it
             lab[..., 0] = gray_to_lightness(grey.astype(np.float64))
     lab[~mask] = 0
     return lab
-
-
-def _regressed(difference, grey, grid_grey, grid_mask, guide_curve) -> np.ndarray:
-    """Colour as a function of grey: fitted where the matches are, on the grid; read back at full resolution."""
-    inner = np.s_[MARGIN:-MARGIN, MARGIN:-MARGIN]
-    if guide_curve is not None:
-        grey, grid_grey = apply_curve(grey, guide_curve), apply_curve(grid_grey, guide_curve)
-    weight = grid_mask[inner].astype(np.float32)
-    model = regression.fit(difference[inner], 255 * grid_grey[inner], weight, regression.RegressionParameters())
-    return regression.predict(model, 255 * grey)

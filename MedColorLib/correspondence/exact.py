@@ -48,7 +48,8 @@ def search(target: Tensor, reference: Tensor, radius: int, target_mask: Tensor, 
         volume[:, ~reference_mask.reshape(-1)] = _EXCLUDED
         forward.append(volume.max(dim=1))
         if both:
-            volume[~target_mask[n].reshape(-1)] = _EXCLUDED
+            # lower still: positions whose column is excluded take an allowed row, too
+            volume[~target_mask[n].reshape(-1)] = 2 * _EXCLUDED
             backward.append(volume.max(dim=0))
     field = torch.stack([m.indices for m in forward]).view(count, *shape)
     similarity = torch.stack([m.values for m in forward]).view(count, *shape)

@@ -67,7 +67,7 @@ def average_vote(values: Tensor, field: Tensor, radius: int = 2) -> Tensor:
             y, x = row[:, from_y, from_x] + dy, col[:, from_y, from_x] + dx
             inside = ((y >= 0) & (y < rows2) & (x >= 0) & (x < cols2)).unsqueeze(1)
             index = (y.clamp(0, rows2 - 1) * cols2 + x.clamp(0, cols2 - 1)).flatten(1).unsqueeze(1)
-            vote = torch.gather(flat, 2, index.expand(-1, flat.shape[1], -1)).view(count, -1, *y.shape[1:])
+            vote = torch.gather(flat, 2, index.expand(-1, flat.shape[1], -1)).view(*flat.shape[:2], *y.shape[1:])
             total[:, :, here_y, here_x] += vote * inside
             votes[:, :, here_y, here_x] += inside
     return total / votes.clamp_min(1)

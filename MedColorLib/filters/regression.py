@@ -53,9 +53,12 @@ def fit(source: np.ndarray, guide: np.ndarray, weight: np.ndarray, parameters: R
     Returns:
         (rows, columns, bins, C) float32; defined everywhere.
     """
-    sums = _splat(source, guide, weight, parameters)
-    sums = _blur(sums)
-    return _shrink(sums, parameters.support_px, parameters.levels).astype(np.float32)
+    return solve(splat(source, guide, weight, parameters), parameters)
+
+
+def solve(sums: np.ndarray, parameters: RegressionParameters) -> np.ndarray:
+    """Mean colours (rows, columns, bins, C) float32 from the sums of `splat`, or from a weighted sum of several."""
+    return _shrink(_blur(sums), parameters.support_px, parameters.levels).astype(np.float32)
 
 
 def predict(model: np.ndarray, guide: np.ndarray) -> np.ndarray:
@@ -63,7 +66,7 @@ def predict(model: np.ndarray, guide: np.ndarray) -> np.ndarray:
     import torch
 
     height, width = guide.shape
-    rows, cols, bins, _ = model.shape
+    rows, cols = model.shape[:2]
     volume = torch.from_numpy(np.ascontiguousarray(model)).permute(3, 2, 0, 1)[None]  # (1, C, bins, rows, cols)
     y = torch.linspace(0, 1, height) if height > 1 else torch.full((1,), 0.5)
     x = torch.linspace(0, 1, width) if width > 1 else torch.full((1,), 0.5)
@@ -76,8 +79,14 @@ def predict(model: np.ndarray, guide: np.ndarray) -> np.ndarray:
     return out[0, :, 0].permute(1, 2, 0).numpy()
 
 
-def _splat(source, guide, weight, parameters):
-    """(rows, cols, bins, C + 1): weighted sums of colour and of weight, spread linearly over the nearest cells."""
+def splat(source: np.ndarray, guide: np.ndarray, weight: np.ndarray, parameters: RegressionParameters) -> np.ndarray:
+    """Weighted sums of colour and, last, of weight, spread linearly over the nearest cells.
+
+    Arguments as for `fit`.
+
+    Returns:
+        (rows, columns, bins, C + 1) float32.
+    """
     height, width = guide.shape
     rows, cols = max(2, round(height / parameters.cell_px)) + 2, max(2, round(width / parameters.cell_px)) + 2
     bins, channels = parameters.bins, source.shape[2]
@@ -96,7 +105,7 @@ def _splat(source, guide, weight, parameters):
                 share = wy * wx * wz
                 for c in range(channels + 1):
                     sums[:, c] += np.bincount(index, values[:, c] * share, minlength=len(sums))
-    return sums.reshape(rows, cols, bins, channels + 1)
+    return sums.reshape(rows, cols, bins, channels + 1).astype(np.float32)
 
 
 def _corners(position: np.ndarray, size: int):
@@ -108,6 +117,7 @@ def _corners(position: np.ndarray, size: int):
 def _blur(sums: np.ndarray) -> np.ndarray:
     from scipy.ndimage import gaussian_filter1d
 
+    sums = sums.astype(np.float64)
     for axis in range(3):
         sums = gaussian_filter1d(sums, 1.0, axis=axis, mode="nearest")
     return sums
