@@ -50,6 +50,7 @@ def _parser() -> argparse.ArgumentParser:
     demo = commands.add_parser("demo", help="colour and render a sample made by formula: needs no download")
     demo.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help="folder for the results")
     demo.set_defaults(run=_demo)
+    _add_bench(commands)
     return parser
 
 
@@ -125,6 +126,29 @@ def _add_weights(commands) -> None:
     fetch = actions.add_parser("fetch", help="download, check and convert; resumes a broken download")
     fetch.add_argument("network", nargs="?", choices=("vgg19", "gray-vgg19"), default="vgg19")
     fetch.set_defaults(run=_weights_fetch)
+
+
+def _add_bench(commands) -> None:
+    command = commands.add_parser("bench", help="error against run time on this machine; extreme cases")
+    add = command.add_argument
+    add(
+        "-o",
+        "--output",
+        type=Path,
+        default=Path("bench"),
+        metavar="DIR",
+        help="folder for the report (default: %(default)s)",
+    )
+    add("--quick", action="store_true", help="fewer points and repeats: about two minutes")
+    add("--stability", action="store_true", help="only the table of stiff and extreme cases")
+    add(
+        "--data",
+        type=Path,
+        metavar="FOLDER",
+        help="Visible Human photographs and CT (default: ../shared/data if there)",
+    )
+    add("--seed", type=int, default=0, metavar="N", help="of warps and random search (default: %(default)s)")
+    command.set_defaults(run=_bench)
 
 
 def _slice_range(text: str) -> tuple[int, int]:
@@ -219,6 +243,16 @@ def _demo(arguments) -> None:
 
     with _Bar("demo") as bar:
         written = run_demo(arguments.output, progress=bar)
+    for path in written:
+        print(path)
+
+
+def _bench(arguments) -> None:
+    from .bench.run import run_bench
+
+    options = {name: getattr(arguments, name) for name in ("quick", "stability", "data", "seed")}
+    with _Bar("bench") as bar:
+        written = run_bench(arguments.output, **options, progress=bar)
     for path in written:
         print(path)
 

@@ -121,8 +121,13 @@ def histogram_match_curve(source: np.ndarray, target: np.ndarray, bins: int = 25
     """
     if source.size == 0 or target.size == 0:
         return np.linspace(0, 1, bins)
-    counts = np.bincount(np.rint(np.clip(source, 0, 1) * (bins - 1)).astype(np.int64).ravel(), minlength=bins)
-    fraction = (np.cumsum(counts) - counts / 2) / counts.sum()
+    # each grey is shared between the two nodes that `apply_curve` will interpolate between
+    position = np.clip(source, 0, 1).astype(np.float64).ravel() * (bins - 1)
+    node = np.minimum(position.astype(np.int64), bins - 2)
+    share = position - node
+    counts = np.bincount(node, 1 - share, bins) + np.bincount(node + 1, share, bins)
+    cumulated = np.cumsum(counts)
+    fraction = (cumulated - counts / 2) / cumulated[-1]  # not counts.sum(), whose rounding differs: at most 1
     return np.quantile(np.clip(target, 0, 1).astype(np.float64), fraction)
 
 

@@ -1,0 +1,218 @@
+"""The engine of a run: network, references on the grid, contrast curves; matches batches of slices."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .features import CONTEXT_WEIGHTS
+from .grid import Grid, to_grid
+from .intensity import apply_curve, apply_window, spreading_curve
+from .orientation import choose_way, turned
+from .parameters import PRESETS
+from .prepare import Prepared, sample_slices
+from .progress import Run
+from .reference import Reference, on_grid
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+log = logging.getLogger("MedColor")
+
+MANY_REFERENCES = 7  # more are taken for one series, whose pictures all lie the same way
+
+
+class ReferenceOnGrid:
+    """A reference brought to the grid; its features are computed when a slice first needs them."""
+
+    def __init__(self, reference: Reference, grid: Grid) -> None:
+        self.name = reference.name
+        self.grey, self.lab, self.mask = on_grid(reference, grid)
+        self.way = "as it is"
+        self.contrast = None
+
+    def turn(self, way: str) -> None:
+        """Lay the picture another way; see `orientation`."""
+        self.way = way
+        self.grey, self.lab, self.mask = (turned(values, way) for values in (self.grey, self.lab, self.mask))
+
+
+@dataclass(frozen=True)
+class ReferenceFeatures:
+    """What matching needs of a reference, on the device: features by layer, L*a*b*, grey (1, c, H, W), mask (H, W)."""
+
+    layers: dict
+    lab: Tensor
+    luminance: Tensor
+    mask: Tensor
+
+
+class Engine:
+    """The network, the references' features and the contrast curves: everything that slices share."""
+
+    def __init__(self, prepared: Prepared, run: Run) -> None:
+        from .features import make_extractor
+        from .reconstruction import make_reconstruction
+
+        self.prepared, self.run = prepared, run
+        self.settings, self.grid, self.device = prepared.settings, prepared.grid, prepared.plan.device
+        preset = PRESETS[self.settings.preset]
+        self.stop_layer, self.uses_context = preset.stop_layer, preset.context
+        self.layers = tuple(range(5, self.stop_layer - 1, -1))
+        self.extractor = make_extractor(prepared.plan.features, self.device)
+        self.reconstruct = make_reconstruction(self.settings.reconstruction, self.extractor)
+        self.references = [ReferenceOnGrid(r, self.grid) for r in prepared.references]
+        self._features: dict[int, ReferenceFeatures] = {}
+        with run.timed("orientation"):
+            self._turn_references()
+        self.choice = self._choose_references()
+        self.guide_curve = self._spread_guide() if prepared.plan.smoother == "regression" else None
+        with run.timed("contrast"):
+            for index in sorted(set(self.choice.values())):
+                self._learn_contrast(index)
+
+    def slice_on_grid(self, k: int) -> tuple[np.ndarray, np.ndarray]:
+        """Display grey and body mask (H, W) of slice k on the grid."""
+        grey, cover = self.slice_in_box(k)
+        mask = to_grid(cover, self.grid) > 0.5
+        return to_grid(grey * (cover > 0.5), self.grid) * mask, mask
+
+    def slice_in_box(self, k: int) -> tuple[np.ndarray, np.ndarray]:
+        """Display grey (rows, cols) and body coverage 0..1 of slice k, cut to the body's box, at full resolution."""
+        j0, j1, i0, i1 = self.prepared.body.boxes[k]
+        grey = apply_window(self.prepared.view[k, j0:j1, i0:i1], self.prepared.window)
+        return grey, self.prepared.body.plane(k)[j0:j1, i0:i1]
+
+    def features_of(self, index: int) -> ReferenceFeatures:
+        """Features of a reference, computed once for all slices; of several references the last two are kept."""
+        import torch
+
+        if index not in self._features:
+            while len(self._features) >= 2:
+                del self._features[next(iter(self._features))]
+            reference = self.references[index]
+            luminance = torch.from_numpy(reference.grey)[None, None].to(self.device)
+            self._features[index] = ReferenceFeatures(
+                self.extractor.extract(luminance, self.layers),
+                torch.from_numpy(reference.lab.astype(np.float32)).permute(2, 0, 1)[None].to(self.device),
+                luminance,
+                torch.from_numpy(reference.mask).to(self.device),
+            )
+        return self._features[index]
+
+    def forget_features(self) -> None:
+        """Make the references' features anew at the next match, for example after `layers` has been changed."""
+        self._features.clear()
+
+    def slices_on_grid(self, ks: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+        """`slice_on_grid` of several slices: greys, masks (N, H, W)."""
+        greys, masks = zip(*(self.slice_on_grid(k) for k in ks))
+        return np.stack(greys), np.stack(masks)
+
+    def match(self, ks: Sequence[int], index: int):
+        """Match slices `ks` with reference `index`.
+
+        Returns:
+            greys and masks (N, H, W) on the grid, matched colours T' (N, H, W, 3) L*a*b*, and the trust in each slice (None
+            where nothing reads it).
+        """
+        import torch
+
+        from .analogy import Context, deep_image_analogy
+        from .vote import matched_colors
+
+        reads_trust = self.prepared.plan.smoother == "regression"
+
+        reference, own = self.references[index], self.features_of(index)
+        greys, masks = self.slices_on_grid(ks)
+        matched = apply_curve(greys, reference.contrast.curve) * masks
+        luminance = torch.from_numpy(matched)[:, None].to(self.device)
+        with self.run.timed("features"):
+            features = self.extractor.extract(luminance, self.layers)
+        context = None
+        if self.uses_context:
+            position, grey = CONTEXT_WEIGHTS[self.extractor.name]
+            context = Context(position, grey * reference.contrast.trust, luminance, own.luminance)
+        with self.run.timed("matching"):
+            found = deep_image_analogy(
+                features,
+                own.layers,
+                torch.from_numpy(masks).to(self.device),
+                own.mask,
+                self.stop_layer,
+                context,
+                self.reconstruct,
+                seed=self.settings.seed,
+                keep_reverse=reads_trust,
+            )
+            self.searched = found.searched
+            lab = matched_colors(found.field, found.layer, own.lab)
+        lab = lab.permute(0, 2, 3, 1).float().cpu().numpy()
+        trusts = self._trusts(found, reference, matched, masks, lab) if reads_trust else [None] * len(ks)
+        return greys, masks, lab, trusts
+
+    def _trusts(self, found, reference, matched, masks, lab) -> list:
+        from .color.lab import lightness_to_gray
+        from .confidence import consistency, on_full_grid, trust_of
+
+        home = on_full_grid(consistency(found.field, found.reverse), masks.shape[1:]).cpu().numpy() * masks
+        seen = np.clip(lightness_to_gray(lab[..., 0].astype(np.float64)), 0, 1)
+        inverse = reference.contrast.inverse
+        return [trust_of(*planes, inverse) for planes in zip(home, matched, seen)]
+
+    def _turn_references(self) -> None:
+        """Find out which way up the references lie: each for itself, or many (a series of photographs) together."""
+        greys, masks = self.slices_on_grid(sample_slices(self.prepared.plan.slices))
+        few = self.references if len(self.references) <= MANY_REFERENCES else sample_slices(self.references)
+        ways = [choose_way(greys, masks, r.grey, r.mask) for r in few]
+        if len(few) < len(self.references):
+            ways = [max(set(ways), key=ways.count)] * len(self.references)
+        for reference, way in zip(self.references, ways):
+            if way != "as it is":
+                log.info("reference %s lies %s", reference.name, way)
+                reference.turn(way)
+
+    def _spread_guide(self) -> np.ndarray:
+        boxes = [self.slice_in_box(k) for k in sample_slices(self.prepared.plan.slices)]
+        return spreading_curve(np.concatenate([grey[cover > 0.5] for grey, cover in boxes]))
+
+    def _learn_contrast(self, index: int) -> None:
+        import torch
+
+        from .analogy import deep_image_analogy
+        from .contrast import match_contrast
+
+        reference, needed = self.references[index], self.features_of(index)
+        own = [k for k, chosen in self.choice.items() if chosen == index]
+        greys, masks = self.slices_on_grid(sample_slices(own))
+        mask_tensor = torch.from_numpy(masks).to(self.device)
+
+        def coarse_similarity(candidate: np.ndarray) -> float:
+            features = self.extractor.extract(torch.from_numpy(candidate)[:, None].to(self.device), (5,))
+            found = deep_image_analogy(features, needed.layers, mask_tensor, needed.mask, 5)
+            inside = torch.nn.functional.adaptive_avg_pool2d(mask_tensor.float(), found.similarity.shape[1:]) > 0.5
+            return float(found.similarity[inside].mean()) if inside.any() else 0.0
+
+        reference.contrast = match_contrast(greys, masks, reference.grey, reference.mask, coarse_similarity)
+        log.info("contrast for %s: %s", reference.name, reference.contrast.describe())
+
+    def _choose_references(self) -> dict[int, int]:
+        """Slice -> index of its reference: the only one, or the one whose descriptor is nearest (cosine)."""
+        slices = self.prepared.plan.slices
+        if len(self.references) == 1:
+            return dict.fromkeys(slices, 0)
+        import torch
+
+        with self.run.timed("recommendation"):
+            planes = [torch.from_numpy(r.grey)[None, None].to(self.device) for r in self.references]
+            library = torch.cat([self.extractor.descriptor(plane) for plane in planes]).float()
+            library = library / library.norm(dim=1, keepdim=True).clamp_min(1e-12)
+            choice = {}
+            for k in slices:
+                plane = torch.from_numpy(self.slice_on_grid(k)[0])[None, None].to(self.device)
+                choice[k] = int((library @ self.extractor.descriptor(plane).float()[0]).argmax())
+        return choice

@@ -1,0 +1,35 @@
+"""Progress, cancellation and seconds per stage of one run."""
+
+from __future__ import annotations
+
+import time
+from collections import defaultdict
+from collections.abc import Callable
+from contextlib import contextmanager
+
+from .errors import Cancelled
+
+Progress = Callable[[float, str], None]
+
+
+class Run:
+    """Progress, cancellation and seconds per stage of one run."""
+
+    def __init__(self, progress: Progress | None, cancelled: Callable[[], bool] | None) -> None:
+        self.seconds: dict[str, float] = defaultdict(float)
+        self.started = time.perf_counter()
+        self._progress, self._cancelled = progress, cancelled
+
+    def step(self, fraction: float, text: str) -> None:
+        if self._cancelled is not None and self._cancelled():
+            raise Cancelled
+        if self._progress is not None:
+            self._progress(fraction, text)
+
+    @contextmanager
+    def timed(self, stage: str):
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[stage] += time.perf_counter() - start
