@@ -85,6 +85,10 @@ def _add_colorize(commands) -> None:
     )
     add("--window", nargs=2, type=float, metavar=("LO", "HI"), help="values shown black and white")
     add("--slices", type=_slice_range, metavar="A:B", help="transverse slices from A up to B, counted from the feet")
+    add("--region", nargs=6, type=int, metavar=("K0", "K1", "J0", "J1", "I0", "I1"), help="voxels to colour")
+    add(
+        "--coherence", type=float, default=3.0, metavar="MM", help="averaging along the stack (default: %(default)s mm)"
+    )
     add(
         "--plane",
         choices=("transverse", "acquired"),
@@ -160,12 +164,15 @@ def _slice_range(text: str) -> tuple[int, int]:
 
 def _colorize(arguments) -> None:
     from .parameters import Settings
-    from .pipeline import colorize, make_plan
+    from .pipeline import colorize
     from .report import write_report
     from .volume_io import check_output_path, file_sha256, read_volume, write_color_volume
 
     names = ("preset", "features", "smoother", "luminance", "reconstruction", "slices", "plane", "device", "seed")
     options = {name: getattr(arguments, name) for name in names}
+    ranges = arguments.region
+    options["region"] = (ranges[0:2], ranges[2:4], ranges[4:6]) if ranges else None
+    options["coherence_mm"] = arguments.coherence
     window = tuple(arguments.window) if arguments.window else None
     settings = Settings(**options, gamma={"on": True, "off": False}.get(arguments.gamma), window=window)
     if not arguments.plan:
@@ -174,7 +181,7 @@ def _colorize(arguments) -> None:
     for note in volume.notes:
         print(f"medcolor: {volume.name}: {note}", file=sys.stderr)
     if arguments.plan:
-        print(make_plan(volume, arguments.reference, settings).text())
+        _print_plan(volume, arguments.reference, settings)
         return
     with _Bar("colouring") as bar:
         result = colorize(volume, arguments.reference, settings, progress=bar)
@@ -187,6 +194,14 @@ def _colorize(arguments) -> None:
         f"{arguments.output}: {len(result.report['plan']['slices'])} slices with {result.report['plan']['features']} "
         f"features in {seconds:.1f} s. The colours are an illustration, not a measurement."
     )
+
+
+def _print_plan(volume, references, settings) -> None:
+    from .estimate import estimate
+    from .pipeline import make_plan
+
+    print(make_plan(volume, references, settings).text())
+    print(f"Time on this machine: {estimate(volume, references, settings).text()}")
 
 
 def _check_outputs(arguments, check_output_path: Callable) -> None:

@@ -13,7 +13,7 @@ from .prepare import Prepared
 class Painter:
     """Colours slices from their matches; with the regression, from the evidence of their neighbours, too."""
 
-    def __init__(self, prepared: Prepared, engine: Engine, stack: np.ndarray) -> None:
+    def __init__(self, prepared: Prepared, engine: Engine, stack: np.ndarray | None) -> None:
         from .coherence import SliceAverage
         from .transfer import TransferParameters
 
@@ -26,6 +26,7 @@ class Painter:
             plan.smoother, settings.luminance, settings.resolved_gamma, engine.guide_curve
         )
         self._average = SliceAverage(plan.slices, prepared.slice_spacing_mm, settings.coherence_mm)
+        self._region = prepared.region[1:]
         self._last = None
 
     def add(self, ks: Sequence[int], matches) -> None:
@@ -56,6 +57,11 @@ class Painter:
         self._put(k, *transfer(grey, cover > 0.5, lab, grid_grey, grid_mask, self._parameters))
 
     def _put(self, k: int, rgb: np.ndarray, clipped: int) -> None:
-        j0, j1, i0, i1 = self._boxes[k]
-        self._stack[k, j0:j1, i0:i1] = rgb
         self.clipped += clipped
+        if self._stack is None:
+            return
+        j0, j1, i0, i1 = self._boxes[k]
+        (row0, row1), (col0, col1) = self._region
+        top, bottom, left, right = max(j0, row0), min(j1, row1), max(i0, col0), min(i1, col1)
+        if top < bottom and left < right:
+            self._stack[k, top:bottom, left:right] = rgb[top - j0 : bottom - j0, left - i0 : right - i0]

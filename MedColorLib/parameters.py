@@ -53,6 +53,8 @@ class Settings:
         gamma: colour transfer between gamma 1/2 and 2 (the paper, section 4.1); None takes the preset's.
         window: (low, high) in the volume's units, or None for the file's window or robust percentiles.
         slices: (start, stop) of transverse slices to colour, counted from the feet; None for all. Others stay black.
+        region: ((k0, k1), (j0, j1), (i0, i1)) voxels of the array to colour, stops not included; None for all. The rest
+            stays black, but the whole slice takes part in the matching.
         plane: "transverse", or "acquired" to take the array's first axis as the stack.
         device: "auto", "cpu", "cuda", "cuda:1", "mps".
         coherence_mm: neighbouring slices share their evidence of colour with a Gaussian of this width along the stack; 0
@@ -70,6 +72,7 @@ class Settings:
     gamma: bool | None = None
     window: tuple[float, float] | None = None
     slices: tuple[int, int] | None = None
+    region: tuple[tuple[int, int], tuple[int, int], tuple[int, int]] | None = None
     plane: str = "transverse"
     device: str = "auto"
     coherence_mm: float = 3.0
@@ -88,6 +91,8 @@ class Settings:
             object.__setattr__(self, "window", _window(self.window))
         if self.slices is not None:
             object.__setattr__(self, "slices", _range(self.slices))
+        if self.region is not None:
+            object.__setattr__(self, "region", _region(self.region))
         if not (math.isfinite(self.coherence_mm) and 0 <= self.coherence_mm <= 1000):
             raise SettingsError(f"coherence_mm: expected 0 to 1000 mm, got {self.coherence_mm!r}")
         if not isinstance(self.seed, int) or not 0 <= self.seed < 2**63:
@@ -136,6 +141,16 @@ def _window(value) -> tuple[float, float]:
     if not (math.isfinite(low) and math.isfinite(high) and low < high):
         raise SettingsError(f"window: expected finite LO < HI, got {low:g} {high:g}")
     return low, high
+
+
+def _region(value) -> tuple:
+    try:
+        ranges = tuple((int(start), int(stop)) for start, stop in value)
+    except (TypeError, ValueError) as error:
+        raise SettingsError(f"region: expected ((k0, k1), (j0, j1), (i0, i1)), got {value!r}") from error
+    if len(ranges) != 3 or any(not 0 <= start < stop for start, stop in ranges):
+        raise SettingsError(f"region: expected three ranges with 0 <= START < STOP, got {ranges}")
+    return ranges
 
 
 def _range(value) -> tuple[int, int]:

@@ -42,6 +42,12 @@ class Prepared:
     plan: Plan
 
     @property
+    def region(self) -> tuple[tuple[int, int], ...]:
+        """(slice, row, column) ranges that are coloured: the user's region or everything."""
+        whole = tuple((0, n) for n in self.volume.array.shape)
+        return self.order.ranges(self.settings.region or whole, self.volume.array.shape)
+
+    @property
     def slice_spacing_mm(self) -> float:
         """Distance between neighbouring slices of the stack."""
         return float(self.volume.spacing_mm[2 - self.order.axes[0]])
@@ -93,7 +99,7 @@ def prepare(volume: Volume, references: Sequence, settings: Settings) -> Prepare
     order = slice_order(volume.ijk_to_ras, settings.plane)
     view = order.view(volume.array)
     body = find_body(view)
-    chosen = _chosen_slices(body, settings, len(view))
+    chosen = _chosen_slices(body, settings, order, volume.array.shape)
     window = _window(view, body, chosen, volume, settings)
     grid = choose_grid(PRESETS[settings.preset].grid_px)
     repeats = _repeats(view, chosen)
@@ -113,15 +119,20 @@ def sample_slices(slices: Sequence[int], count: int = SAMPLE_SLICES) -> list[int
     return [slices[int(p)] for p in positions]
 
 
-def _chosen_slices(body: Body, settings: Settings, count: int) -> list[int]:
+def _chosen_slices(body: Body, settings: Settings, order: SliceOrder, shape: tuple[int, int, int]) -> list[int]:
+    count = len(body.boxes)
     start, stop = settings.slices or (0, count)
     if start >= count:
         raise SettingsError(f"slices {start}:{stop}: the volume has {count} slices (0:{count})")
+    if settings.region is not None:
+        (first, last), *_ = ranges = order.ranges(settings.region, shape)
+        if any(low >= high for low, high in ranges):
+            raise SettingsError(f"region {settings.region}: lies outside the volume of {shape} voxels (k, j, i)")
+        start, stop = max(start, first), min(stop, last)
     chosen = [int(k) for k in body.slices if start <= k < stop]
     if not chosen:
-        raise InputError(
-            f"slices {start}:{stop}: no body in this range; body was found in {body.slices[0]}:{body.slices[-1] + 1}"
-        )
+        found = f"{body.slices[0]}:{body.slices[-1] + 1}"
+        raise InputError(f"slices {start}:{stop}: no body in this range; body was found in {found}")
     return chosen
 
 
@@ -178,6 +189,12 @@ def _left_out(settings, preset, smoother, features, view, body, chosen, referenc
     empty = len(view) - len(body.slices)
     if empty:
         entries.append(LeftOut("empty slices", "no body in them; they stay black", f"{empty} of {len(view)} slices"))
+    if settings.region is not None:
+        entries.append(
+            LeftOut(
+                "voxels outside the region of interest", "not asked for; they stay black", "their smoothing and colour"
+            )
+        )
     outside = len(body.slices) - len(chosen)
     if outside:
         entries.append(LeftOut("slices outside the range", "not asked for; they stay black", f"{outside} slices"))

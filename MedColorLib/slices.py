@@ -27,6 +27,14 @@ class SliceOrder:
         seen = array.transpose(*self.axes, *rest)
         return seen[tuple(slice(None, None, -1 if flip else 1) for flip in self.flips)]
 
+    def ranges(self, region, shape: tuple[int, int, int]) -> tuple[tuple[int, int], ...]:
+        """Voxel ranges ((k0, k1), (j0, j1), (i0, i1)) of the array as (slice, row, column) ranges of the view."""
+        seen = []
+        for axis, flip in zip(self.axes, self.flips):
+            start, stop = (min(edge, shape[axis]) for edge in region[axis])
+            seen.append((shape[axis] - stop, shape[axis] - start) if flip else (start, stop))
+        return tuple(seen)
+
     def describe(self) -> str:
         """One sentence for the plan."""
         stack = "kji"[self.axes[0]]
