@@ -10,6 +10,7 @@ import logging
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import NoReturn
 
 from . import __version__
 from .errors import Cancelled, MedColorError
@@ -35,8 +36,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 0
 
 
+class _Parser(argparse.ArgumentParser):
+    """Wrong arguments are told in one line, like any other bad input; the usage is in --help."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"{self.prog}: {message}; see {self.prog} --help\n")
+
+
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog="medcolor",
         description="Colour grey medical volumes after a colour photograph of real anatomy. An illustration, not a measurement.",
     )
@@ -205,13 +213,17 @@ def _print_plan(volume, references, settings) -> None:
 
 
 def _check_outputs(arguments, check_output_path: Callable) -> None:
-    from .errors import OutputError, SettingsError
+    from .errors import SettingsError
 
     if not arguments.output:
         raise SettingsError("colorize: name the result with -o OUT.nrrd (or use --plan)")
     check_output_path(arguments.output)
-    if arguments.report and not arguments.report.absolute().parent.is_dir():
-        raise OutputError(f"report {arguments.report}: the folder does not exist; create it first")
+    if Path(arguments.output).resolve() == Path(arguments.input).resolve():
+        raise SettingsError(
+            f"colorize: {arguments.output} is the input; the result would replace it, name another file"
+        )
+    if arguments.report:
+        check_output_path(arguments.report, (".json",))
 
 
 def _render(arguments) -> None:

@@ -27,6 +27,7 @@ class Painter:
         )
         self._average = SliceAverage(plan.slices, prepared.slice_spacing_mm, settings.coherence_mm)
         self._region = prepared.region[1:]
+        self._changes: dict[int, np.ndarray | None] = {}
         self._last = None
 
     def add(self, ks: Sequence[int], matches) -> None:
@@ -41,14 +42,16 @@ class Painter:
                 self._color_alone(k, grey, mask, lab)
 
     def _add_evidence(self, k, grid_grey, grid_mask, lab, trust) -> None:
-        from .transfer import evidence, to_picture, transfer_evidence
+        from .transfer import evidence, lightness_change, to_picture, transfer_evidence
 
         self.trusted[k], self.agreement[k] = round(trust.trusted_fraction, 4), round(trust.agreement, 4)
         sums = evidence(lab, grid_grey, grid_mask, self._parameters, trust)
+        self._changes[k] = lightness_change(lab, grid_grey, self._parameters)
         for ready, total in self._average.push(k, sums):
             grey, cover = self._engine.slice_in_box(ready)
             mask = cover > 0.5
-            self._put(ready, *to_picture(transfer_evidence(grey, mask, total, self._parameters), mask))
+            colored = transfer_evidence(grey, mask, total, self._parameters, self._changes.pop(ready))
+            self._put(ready, *to_picture(colored, mask))
 
     def _color_alone(self, k, grid_grey, grid_mask, lab) -> None:
         from .transfer import transfer

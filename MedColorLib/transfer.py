@@ -84,11 +84,11 @@ def transfer_lab(
     """`transfer` before its colours are drawn into the gamut: (rows, cols, 3) L* a* b* float64, 0 outside the mask."""
     if parameters.smoother == "regression":
         sums = evidence(matched, grid_grey, grid_mask, parameters, trust)
-        return transfer_evidence(grey, mask, sums, parameters)
+        return transfer_evidence(grey, mask, sums, parameters, lightness_change(matched, grid_grey, parameters))
     difference = _difference(matched, grid_grey, parameters)
-    guide = (_lightness(grey, parameters) * 2.55).astype(np.float32)
-    smoothed = FILTERS[parameters.smoother](from_grid(difference.astype(np.float32), grey.shape), guide)
-    return _combined(grey, mask, smoothed, parameters)
+    if parameters.luminance == "keep":
+        difference = difference[..., 1:]
+    return _combined(grey, mask, _filtered(difference, grey, parameters, parameters.smoother), parameters)
 
 
 def evidence(
@@ -121,17 +121,45 @@ def evidence(
 
 def _witnesses(matched, grey, weight, parameters) -> np.ndarray:
     inner = np.s_[MARGIN:-MARGIN, MARGIN:-MARGIN]
-    difference = _difference(matched, grey, parameters)
+    difference = _difference(matched, grey, parameters)[..., 1:]
     guide = 255 * _spread(grey, parameters)
     return regression.splat(difference[inner], guide[inner], weight[inner], regression.RegressionParameters())
 
 
 def transfer_evidence(
-    grey: np.ndarray, mask: np.ndarray, sums: np.ndarray, parameters: TransferParameters
+    grey: np.ndarray,
+    mask: np.ndarray,
+    sums: np.ndarray,
+    parameters: TransferParameters,
+    change: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Colour one slice from evidence: (rows, cols, 3) L* a* b* float64, 0 outside the mask."""
+    """Colour one slice from evidence: (rows, cols, 3) L* a* b* float64, 0 outside the mask.
+
+    Args:
+        change: (H, W) of `lightness_change`, or None.
+    """
     model = regression.solve(sums, regression.RegressionParameters())
-    return _combined(grey, mask, regression.predict(model, 255 * _spread(grey, parameters)), parameters)
+    smoothed = regression.predict(model, 255 * _spread(grey, parameters))
+    if change is not None:
+        smoothed = np.concatenate([_filtered(change[..., None], grey, parameters, "fgs"), smoothed], -1)
+    return _combined(grey, mask, smoothed, parameters)
+
+
+def lightness_change(matched: np.ndarray, grid_grey: np.ndarray, parameters: TransferParameters) -> np.ndarray | None:
+    """T'_L - T_L (H, W) on the grid where the reference's luminance is let through, else None.
+
+    It goes through FGS beside the regression, too: a regression of luminance on luminance would return a curve of grey
+    and lose what the scan shows.
+    """
+    if parameters.luminance == "keep":
+        return None
+    return _difference(matched, grid_grey, parameters)[..., 0].astype(np.float32)
+
+
+def _filtered(difference: np.ndarray, grey: np.ndarray, parameters: TransferParameters, smoother: str) -> np.ndarray:
+    """S(difference) at full resolution, guided by the slice's lightness in 8-bit units."""
+    guide = (_lightness(grey, parameters) * 2.55).astype(np.float32)
+    return FILTERS[smoother](from_grid(difference.astype(np.float32), grey.shape), guide)
 
 
 def _spread(grey: np.ndarray, parameters: TransferParameters) -> np.ndarray:
@@ -144,12 +172,10 @@ def _lightness(grey: np.ndarray, parameters: TransferParameters) -> np.ndarray:
 
 
 def _difference(matched: np.ndarray, grid_grey: np.ndarray, parameters: TransferParameters) -> np.ndarray:
-    """T' - T_Lab on the grid, L* a* b* or, where the scan's luminance is kept, a* b* (the scan's are 0)."""
+    """T' - T_Lab on the grid, L* a* b* (the scan's a* and b* are 0), in the space of the transfer."""
     lab = matched.astype(np.float64)
     if parameters.gamma:
         lab = srgb_to_lab(gamma_encode(np.clip(lab_to_srgb(lab), 0, 1), _GAMMA))
-    if parameters.luminance == "keep":
-        return lab[..., 1:]
     lab[..., 0] -= _lightness(grid_grey, parameters)
     return lab
 
