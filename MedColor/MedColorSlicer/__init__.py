@@ -1,0 +1,16 @@
+"""What only Slicer can run, one part per file; nothing here is imported before Slicer shows the module.
+
+scene         MRML nodes <-> arrays and geometry; result node; copies, never borrows
+references    pictures: files, folders, colour volumes, arrays
+rendering     volume rendering of a result: opacity, shading, shader
+rendering_guard   repairs it after presets and re-opened scenes
+comparison    grey and colour side by side
+parameters    parameter node behind the panel, and the library settings it stands for
+logic         validate, run, publish; no widgets, no message boxes
+running       a computation in a worker thread while the window stays responsive
+dependencies  packages to install, by Slicer's own mechanisms, asked first
+samples       Sample Data
+widget        the panel: life cycle, Apply and Cancel
+panel_inputs, panel_plan, panel_preview, panel_display   parts of the panel
+selftest      the test behind Slicer's "Reload and Test"
+"""

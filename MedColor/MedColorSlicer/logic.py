@@ -1,0 +1,241 @@
+"""MedColor without widgets: what the panel, the Python console and a script without any view all call."""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+import time
+
+import slicer
+from slicer.i18n import tr as _
+from slicer.ScriptedLoadableModule import ScriptedLoadableModuleLogic
+
+from . import comparison, rendering, scene
+from . import references as references_of
+from .parameters import MedColorParameterNode
+
+_LOG = logging.getLogger("MedColor")
+
+
+class MedColorLogic(ScriptedLoadableModuleLogic):
+    """Colours volumes of the scene and shows the result.
+
+    Example, for Slicer's Python console::
+
+        logic = slicer.util.getModuleLogic("MedColor")
+        head = slicer.util.getNode("head")
+        colored = logic.process(head, "/pictures/cryosection.png", preset="draft")
+        logic.showVolumeRendering(colored)
+
+    No method opens a message box. Errors are raised: `MedColorLib.errors.MedColorError` with a sentence that says what
+    to do, `MedColorLib.errors.Cancelled` when `cancelled()` said so. In both cases the scene is as it was.
+    """
+
+    def getParameterNode(self) -> MedColorParameterNode:
+        """The choices of the panel, kept in the scene."""
+        return MedColorParameterNode(super().getParameterNode())
+
+    def process(  # the console's one call; everything but the first two has a default
+        self,
+        inputVolume,
+        references,
+        outputVolume=None,
+        settings=None,
+        progress=None,
+        cancelled=None,
+        roi=None,
+        run=None,
+        **options,
+    ):
+        """Colour a volume.
+
+        Args:
+            inputVolume: scalar volume node.
+            references: colour pictures: a path, a folder, a colour volume node, an (H, W, 3) uint8 array, or a list.
+            outputVolume: vector volume node to fill again, with its display kept; None: a new node.
+            settings: MedColorLib.Settings; or give its fields as options, for example preset="draft", seed=1.
+            progress: called with (fraction 0..1, text).
+            cancelled: called often; True stops and leaves the scene as it was.
+            roi: markups ROI node; only its box is coloured, by the slices that it meets.
+            run: called with the computation, a function without arguments that touches no node, and returns what it
+                returns; the panel passes one that uses a worker thread.
+
+        Returns:
+            vtkMRMLVectorVolumeNode with the colours, under the input's transform and subject-hierarchy folder.
+
+        Raises:
+            MedColorLib.errors.MedColorError, MedColorLib.errors.Cancelled
+        """
+        import MedColorLib
+
+        start = time.monotonic()
+        settings = self._settings(settings, options)
+        self._check_output(outputVolume, inputVolume)
+        volume = scene.volume_from_node(inputVolume)
+        region = scene.region_from_roi(roi, inputVolume)
+        settings = scene.settings_for_region(settings, region, inputVolume)
+        pictures = references_of.references_from(references, inputVolume)
+
+        def compute():
+            colored = MedColorLib.colorize(volume, pictures, settings, progress, cancelled)
+            return scene.only_inside(colored, region)
+
+        result = compute() if run is None else run(compute)
+        self._check_still_there(inputVolume, outputVolume, volume.array.shape)
+        node = scene.publish(result, inputVolume, outputVolume, dataclasses.asdict(settings))
+        rendering.refresh(node)
+        _LOG.info("coloured in %.1f s", time.monotonic() - start)
+        return node
+
+    def preview(self, inputVolume, references, sliceIndex, settings=None, cancelled=None, run=None, previous=None):
+        """Colour one slice in seconds.
+
+        Args:
+            sliceIndex: number of the transverse slice, counted from the feet up (`scene.slice_index_at`).
+            previous: node of an earlier preview, filled again.
+
+        Returns:
+            A vector volume node of one slice, at its place in space; not saved with the scene.
+        """
+        import MedColorLib
+        from MedColorLib.volume import ColorVolume
+
+        settings = dataclasses.replace(
+            settings or MedColorLib.Settings(), slices=(sliceIndex, sliceIndex + 1), preset="draft"
+        )
+        volume = scene.volume_from_node(inputVolume)
+        pictures = references_of.references_from(references, inputVolume)
+
+        def compute():
+            return MedColorLib.colorize(volume, pictures, settings, None, cancelled)
+
+        result = compute() if run is None else run(compute)
+        self._check_still_there(inputVolume, previous, volume.array.shape)
+        slab, offset = scene.slab_at(inputVolume, sliceIndex)
+        plane = ColorVolume(result.rgb[slab], result.ijk_to_ras, result.report)
+        name = f"{inputVolume.GetName()} preview"
+        node = scene.publish(plane, inputVolume, previous, dataclasses.asdict(settings), name)
+        node.SetSaveWithScene(False)
+        scene.place_part(node, inputVolume, offset)
+        return node
+
+    def plan(self, inputVolume, references, settings=None, roi=None):
+        """What a run would do, what it leaves out and why; takes seconds at most.
+
+        Returns:
+            MedColorLib's plan: `.text()` for people, `.to_dict()` for programs.
+        """
+        return self.planner(inputVolume, references, settings, roi)()
+
+    def planner(self, inputVolume, references, settings=None, roi=None):
+        """The computation behind `plan`: a function without arguments that touches no node, for a worker thread."""
+        import MedColorLib
+
+        volume = scene.volume_from_node(inputVolume)
+        region = scene.region_from_roi(roi, inputVolume)
+        settings = scene.settings_for_region(settings or MedColorLib.Settings(), region, inputVolume)
+        pictures = references_of.references_from(references, inputVolume)
+        return lambda: MedColorLib.make_plan(volume, pictures, settings)
+
+    def recommend(  # everything after the second has a default
+        self, inputVolume, libraryFolder, top=3, sliceIndex=None, features="auto", device="auto", job=None, run=None
+    ):
+        """The pictures of a folder, its subfolders included, that suit a volume best.
+
+        Args:
+            sliceIndex: number of a transverse slice, counted from the feet up; None: the whole volume.
+            job: an object with `progress(fraction, text)` and `cancelled()`, for a panel.
+            run: as for `process`.
+
+        Returns:
+            List of (path, score), best first; a score of 1 is a perfect match.
+        """
+        from MedColorLib.recommend import recommend
+
+        volume = scene.volume_from_node(inputVolume)
+        options = {"progress": job.progress, "cancelled": job.cancelled} if job else {}
+
+        def compute():
+            return recommend(volume, str(libraryFolder), top, sliceIndex, features, device, **options)
+
+        return compute() if run is None else run(compute)
+
+    def showVolumeRendering(self, volumeNode, viewNodes=None, opacity=None):
+        """Show a result in 3-D (in every view, or in the given view nodes); the display is created the first time.
+
+        Settings the user changed are kept; a preset that was applied by hand is replaced. Works without any view.
+
+        Returns:
+            vtkMRMLVolumeRenderingDisplayNode.
+        """
+        from MedColorLib.errors import InputError
+
+        image = volumeNode.GetImageData() if volumeNode else None
+        if image is None or image.GetNumberOfScalarComponents() != 3 or image.GetScalarSize() != 1:
+            raise InputError(_("Only an RGB volume made by MedColor can be shown this way; colour a volume first."))
+        return rendering.show(volumeNode, viewNodes, opacity)
+
+    def hideVolumeRendering(self, volumeNode) -> None:
+        """Hide the 3-D display of a volume; its settings stay."""
+        rendering.hide(volumeNode)
+
+    def resetVolumeRendering(self, volumeNode) -> None:
+        """MedColor's own opacity curve, lighting and interpolation, whatever was changed."""
+        rendering.reset(volumeNode)
+
+    def setOpacity(self, volumeNode, opacity: float) -> None:
+        """0 (nothing is seen) to 1 (solid)."""
+        rendering.set_opacity(volumeNode, opacity)
+
+    def showComparison(self, greyVolume, colorVolume, fade: float = 0.5):
+        """Two 3-D views, grey and colour, with linked cameras; slice views with colour over grey.
+
+        Returns:
+            (view node of colour, view node of grey), or None where there are no two 3-D views (no main window).
+        """
+        return comparison.show(greyVolume, colorVolume, fade)
+
+    def hideComparison(self, greyVolume, colorVolume) -> None:
+        """Back to the earlier layout; colour in every 3-D view, grey in none."""
+        comparison.hide(greyVolume, colorVolume)
+
+    def setFade(self, fade: float) -> None:
+        """0: slice views show grey alone; 1: colour alone."""
+        comparison.set_fade(slicer.mrmlScene, fade)
+
+    @staticmethod
+    def _settings(settings, options):
+        import MedColorLib
+        from MedColorLib.errors import SettingsError
+
+        fields = {field.name for field in dataclasses.fields(MedColorLib.Settings)}
+        unknown = sorted(set(options) - fields)
+        if unknown:
+            raise SettingsError(
+                _("There is no setting {unknown}; there are {known}.").format(
+                    unknown=", ".join(unknown), known=", ".join(sorted(fields))
+                )
+            )
+        return dataclasses.replace(settings, **options) if settings else MedColorLib.Settings(**options)
+
+    @staticmethod
+    def _check_output(output_node, input_node) -> None:
+        from MedColorLib.errors import InputError
+
+        if output_node is None:
+            return
+        if output_node is input_node or not output_node.IsA("vtkMRMLVectorVolumeNode"):
+            raise InputError(
+                _("{name} cannot take colours; select a vector volume or none.").format(name=output_node.GetName())
+            )
+
+    @staticmethod
+    def _check_still_there(input_node, output_node, shape) -> None:
+        from MedColorLib.errors import InputError
+
+        for node in (input_node, output_node):
+            if node is not None and (node.GetScene() is None or not node.GetScene().IsNodePresent(node)):
+                raise InputError(_("A volume was removed while it was being coloured; nothing was changed."))
+        image = input_node.GetImageData()
+        if image is None or image.GetDimensions()[::-1] != tuple(shape):
+            raise InputError(_("The volume was changed while it was being coloured; nothing was changed. Apply again."))

@@ -1,0 +1,131 @@
+"""Part of the panel: what will be done and left out, and how long it may take; worked out beside the user's work."""
+
+from __future__ import annotations
+
+import re
+import threading
+
+import qt
+import slicer
+from slicer.i18n import tr as _
+
+from . import dependencies, parameters, running
+
+_DELAY_MS = 400  # after the last change
+_POLL_MS = 50
+_WAIT_SECONDS = 0.02  # in each poll the worker gets the interpreter for this long
+# Seconds per slice on two processor cores, before anything was measured on this computer.
+_FIRST_GUESS = {"draft": 0.5, "balanced": 1.5, "full": 20.0}
+
+
+class PlanPart:
+    """Keeps the plan text up to date: one worker at a time, and only the latest question is answered."""
+
+    def __init__(self, panel) -> None:
+        self.panel, self.ui = panel, panel.ui
+        self._worker, self._answer, self._asked, self._stale = None, None, None, False
+        self._delay, self._poll = qt.QTimer(), qt.QTimer()
+        self._delay.setSingleShot(True)
+        self._delay.setInterval(_DELAY_MS)
+        self._poll.setInterval(_POLL_MS)
+        self._delay.timeout.connect(self.ask)
+        self._poll.timeout.connect(self._look)
+
+    def changed(self) -> None:
+        """Something the plan depends on may have changed."""
+        self._delay.start()
+
+    def stop(self) -> None:
+        """The panel is going away; a worker that still runs ends unheard."""
+        self._delay.stop()
+        self._poll.stop()
+        self._worker = None
+
+    def ask(self) -> None:
+        """Begin to work out the plan for the present choices."""
+        panel, p = self.panel, self.panel.parameters
+        if p is None or panel.job:
+            return
+        missing = panel.whatIsMissing()
+        if missing:
+            self._asked = None
+            self.ui.planText.plainText = missing
+            return
+        if dependencies.torch_missing() or dependencies.missing():
+            self.ui.planText.plainText = _(
+                "Python packages are missing: {names}. Apply asks before it installs them; the plan is shown after that."
+            ).format(names=", ".join((["torch"] if dependencies.torch_missing() else []) + dependencies.missing()))
+            return
+        question = self._question(p)
+        if question == self._asked:
+            return
+        if self._worker is not None:
+            self._stale = True
+            return
+        self._asked = question
+        try:
+            compute = panel.logic.planner(p.inputVolume, panel.inputs.references(), parameters.settings_from(p), p.roi)
+        except Exception as error:  # what is wrong is said in the plan's place
+            self.ui.planText.plainText = panel.explain(error)
+            return
+        self.ui.planText.plainText = _("Looking at the volume...")
+        self._answer = {}
+        self._worker = threading.Thread(target=_work, args=(compute, self._answer), daemon=True, name="MedColor plan")
+        self._worker.start()
+        self._poll.start()
+
+    def _question(self, p) -> tuple:
+        image = p.inputVolume.GetImageData()
+        values = [getattr(p, name) for name in _PLAN_FIELDS]
+        others = [node.GetMTime() if node else 0 for node in (p.roi, p.referenceNode)]
+        return (p.inputVolume.GetID(), image.GetMTime(), *others, *values)
+
+    def _look(self) -> None:
+        if self._worker is None:
+            self._poll.stop()
+            return
+        self._worker.join(_WAIT_SECONDS)
+        if self._worker.is_alive():
+            return
+        self._poll.stop()
+        self._worker = None
+        if self._stale:
+            self._stale = False
+            self.ask()
+        elif "error" in self._answer:
+            self.ui.planText.plainText = self.panel.explain(self._answer["error"])
+        else:
+            # columns of spaces are for fixed-width type; the panel has none
+            self.ui.planText.plainText = re.sub(r"(?m)^  (\w[\w ]*?) {2,}", r"\1: ", self._answer["plan"].text())
+            self._showTimes(len(self._answer["plan"].slices))
+
+    def _showTimes(self, slices: int) -> None:
+        names = {"draft": _("Draft"), "balanced": _("Balanced"), "full": _("Full")}
+        for index, preset in enumerate(parameters.PRESETS):
+            about = running.readable_seconds(seconds_per_slice(preset) * max(slices, 1))
+            text = _("{preset} (about {time})").format(preset=names[preset], time=about)
+            self.ui.presetComboBox.setItemText(index, text)
+
+
+def seconds_per_slice(preset: str) -> float:
+    """What a slice took the last time on this computer, or a first guess."""
+    return slicer.util.settingsValue(f"MedColor/SecondsPerSlice/{preset}", _FIRST_GUESS[preset], converter=float)
+
+
+def learn(preset: str, slices: int, seconds: float) -> None:
+    """Remember how long a run took."""
+    if slices > 0:
+        qt.QSettings().setValue(f"MedColor/SecondsPerSlice/{preset}", seconds / slices)
+
+
+_PLAN_FIELDS = (
+    "referenceSource", "referencePath", "pickedReference", "preset", "features", "smoother", "coherenceMm", "luminance",
+    "gamma", "windowAutomatic", "windowLow", "windowHigh", "allSlices", "firstSlice", "lastSlice", "device",
+)  # fmt: skip
+
+
+def _work(compute, answer: dict) -> None:
+    try:
+        answer["plan"] = compute()
+    except Exception as error:  # handed over and shown in the panel
+        answer["error"] = error

@@ -1,0 +1,75 @@
+"""The choices of the panel, kept in the scene, and the library settings they stand for.
+
+Every field has one control in the panel, tied to it by the property SlicerParameterName in `MedColor.ui`, or by
+`panel_inputs` (the path, the picked picture, the region of interest).
+"""
+
+import dataclasses
+from typing import Annotated
+
+from slicer import vtkMRMLDisplayableNode, vtkMRMLScalarVolumeNode, vtkMRMLVectorVolumeNode
+from slicer.parameterNodeWrapper import Choice, WithinRange, parameterNodeWrapper
+
+REFERENCE_SOURCES = ["recommended", "files", "node", "sample"]
+PRESETS = ["draft", "balanced", "full"]
+FEATURES = ["auto", "embedded", "vgg19", "gray-vgg19"]
+SMOOTHERS = ["auto", "regression", "fgs", "guided", "domain-transform", "wls"]
+LUMINANCES = ["keep", "paper"]
+GAMMAS = {"auto": None, "on": True, "off": False}
+DEVICES = ["auto", "cpu", "cuda", "mps"]
+
+
+@parameterNodeWrapper
+class MedColorParameterNode:
+    """One field for each control; the names of the choices are those of MedColorLib.Settings."""
+
+    inputVolume: vtkMRMLScalarVolumeNode
+    referenceSource: Annotated[str, Choice(REFERENCE_SOURCES)] = "files"
+    referencePath: str  # file or folder; for "recommended" the folder to choose from
+    pickedReference: str  # picture clicked among the recommended ones
+    referenceNode: vtkMRMLVectorVolumeNode
+    preset: Annotated[str, Choice(PRESETS)] = "balanced"
+
+    features: Annotated[str, Choice(FEATURES)] = "auto"
+    smoother: Annotated[str, Choice(SMOOTHERS)] = "auto"
+    coherenceMm: Annotated[float, WithinRange(0.0, 20.0)] = 3.0
+    luminance: Annotated[str, Choice(LUMINANCES)] = "keep"
+    gamma: Annotated[str, Choice(list(GAMMAS))] = "auto"
+    windowAutomatic: bool = True
+    windowLow: Annotated[float, WithinRange(-100000.0, 100000.0)] = 0.0
+    windowHigh: Annotated[float, WithinRange(-100000.0, 100000.0)] = 255.0
+    allSlices: bool = True
+    # transverse slices, counted from the feet up as MedColorLib does; both ends belong to the range
+    firstSlice: Annotated[int, WithinRange(0, 100000)] = 0
+    lastSlice: Annotated[int, WithinRange(0, 100000)] = 0
+    roi: vtkMRMLDisplayableNode  # a markups ROI; that class may not be loaded yet when this file is
+    device: Annotated[str, Choice(DEVICES)] = "auto"
+    seed: Annotated[int, WithinRange(0, 1000000)] = 0
+
+    outputVolume: vtkMRMLVectorVolumeNode
+    opacity: Annotated[float, WithinRange(0.0, 1.0)] = 0.8
+    fade: Annotated[float, WithinRange(0.0, 1.0)] = 0.5
+
+
+def settings_from(parameters):
+    """MedColorLib.Settings for the choices of the panel.
+
+    Raises:
+        MedColorLib.errors.SettingsError: a value the library does not take; the message says which.
+    """
+    import MedColorLib
+
+    known = {field.name for field in dataclasses.fields(MedColorLib.Settings)}
+    values = {
+        "preset": parameters.preset,
+        "features": parameters.features,
+        "smoother": parameters.smoother,
+        "coherence_mm": parameters.coherenceMm,
+        "luminance": parameters.luminance,
+        "gamma": GAMMAS[parameters.gamma],
+        "window": None if parameters.windowAutomatic else (parameters.windowLow, parameters.windowHigh),
+        "slices": None if parameters.allSlices else (parameters.firstSlice, parameters.lastSlice + 1),
+        "device": parameters.device,
+        "seed": parameters.seed,
+    }
+    return MedColorLib.Settings(**{name: value for name, value in values.items() if name in known})

@@ -1,0 +1,277 @@
+"""Volume rendering of a result, so that a known colour comes out as itself.
+
+Slicer shows an RGB volume with luminance as alpha. Four things have to be right for it to look right:
+
+* the opacity curve lies on VTK's alpha axis, which is stretched to the luminance range of the volume
+  (`MedColorLib.rendering.presets.opacity_points`), and is moved when the voxels change;
+* linear interpolation mixes tissue with the black outside it, which draws a dark rim around everything. A shader
+  replacement takes the colour of each sample from the visible voxels around it alone. The line it replaces is the same
+  in VTK 9.1 to 9.6; where another VTK words it differently nothing is replaced, and the rim is all that comes back;
+* components are not independent, and the lighting leaves colours bright enough;
+* the curve's opacity is reached over a length that fits the body (unit distance).
+
+The volume property carries a fingerprint: its colour function, which the ray caster ignores for RGB, is a fixed grey
+ramp. A preset applied by hand replaces it, and `rendering_guard` then puts MedColor's settings back. Changes made by
+hand to curves or lighting leave the fingerprint alone and are kept.
+"""
+
+from __future__ import annotations
+
+import json
+import zlib
+
+import slicer
+import vtk
+
+OPACITY_ATTRIBUTE = "MedColor.Opacity"  # on the display node: the slider's value, 0..1
+AXIS_ATTRIBUTE = "MedColor.OpacityAxis"  # on the display node: luminance range and unit distance behind the curve
+_SHADER_ATTRIBUTE = "MedColor.Shader"  # on the shader property node: which code it holds
+DISPLAY_CLASS = "vtkMRMLGPURayCastVolumeRenderingDisplayNode"
+_FINGERPRINT = [(0.0, 0.0, 0.0, 0.0), (127.0, 0.5, 0.5, 0.5), (255.0, 1.0, 1.0, 1.0)]
+
+_SHADER_LINE = "g_srcColor = computeColor(scalar, g_srcColor.a);"
+_SHADER_CODE = """{
+          ivec3 mcSize = textureSize(in_volume[0], 0);
+          vec3 mcPosition = g_dataPos * vec3(mcSize) - 0.5;
+          ivec3 mcBase = ivec3(floor(mcPosition));
+          vec3 mcFraction = mcPosition - vec3(mcBase);
+          vec4 mcSum = vec4(0.0);
+          for (int mcN = 0; mcN < 8; ++mcN)
+            {
+            ivec3 mcCorner = ivec3(mcN & 1, (mcN >> 1) & 1, mcN >> 2);
+            vec3 mcWeight = mix(1.0 - mcFraction, mcFraction, vec3(mcCorner));
+            vec4 mcVoxel = texelFetch(in_volume[0], clamp(mcBase + mcCorner, ivec3(0), mcSize - 1), 0)
+              * in_volume_scale[0] + in_volume_bias[0];
+            mcSum += vec4(mcVoxel.rgb, 1.0) * mcWeight.x * mcWeight.y * mcWeight.z * step(AIR, mcVoxel.a);
+            }
+          if (mcSum.a > 0.0) { scalar.rgb = mcSum.rgb / mcSum.a; }
+          }
+        """
+
+
+def display_node_of(volume_node):
+    """The volume rendering display node of a volume, or None."""
+    for index in range(volume_node.GetNumberOfDisplayNodes()):
+        node = volume_node.GetNthDisplayNode(index)
+        if node and node.IsA("vtkMRMLVolumeRenderingDisplayNode"):
+            return node
+    return None
+
+
+def show(volume_node, view_nodes=None, opacity: float | None = None):
+    """Show an RGB volume in 3-D; creates the display the first time, and keeps what the user set after that.
+
+    Args:
+        volume_node: vtkMRMLVectorVolumeNode with three uint8 components.
+        view_nodes: 3-D view nodes to show it in; None: every view, also those created later.
+        opacity: 0..1; None keeps the present one.
+
+    Returns:
+        The display node.
+    """
+    display = _gpu_display_node(volume_node)
+    with slicer.util.NodeModify(display):
+        if view_nodes is not None:
+            display.RemoveAllViewNodeIDs()
+            for view in view_nodes:
+                display.AddViewNodeID(view.GetID())
+        if display.GetAttribute(OPACITY_ATTRIBUTE) is None or not has_medcolor_look(display):
+            reset(volume_node, opacity)
+        else:
+            restore_unsaved(display)
+            if opacity is not None:
+                set_opacity(volume_node, opacity)
+        display.SetVisibility(True)
+    from .rendering_guard import guard_of
+
+    guard_of(volume_node.GetScene()).watch(display)
+    return display
+
+
+def hide(volume_node) -> None:
+    """Hide the 3-D display of a volume, if it has one; its settings stay."""
+    display = display_node_of(volume_node)
+    if display:
+        display.SetVisibility(False)
+
+
+def reset(volume_node, opacity: float | None = None) -> None:
+    """MedColor's opacity, gradient opacity, lighting and interpolation; opacity None keeps the slider's value."""
+    from MedColorLib.rendering import presets
+
+    display = display_node_of(volume_node)
+    if display is None:
+        return
+    if opacity is None:
+        opacity = opacity_of(volume_node)
+    node = display.GetVolumePropertyNode()
+    prop = node.GetVolumeProperty()
+    with slicer.util.NodeModify(node):
+        prop.SetIndependentComponents(False)
+        prop.SetInterpolationTypeToLinear()
+        prop.ShadeOn()
+        prop.SetAmbient(presets.AMBIENT)
+        prop.SetDiffuse(presets.DIFFUSE)
+        prop.SetSpecular(presets.SPECULAR)
+        prop.SetSpecularPower(presets.SPECULAR_POWER)
+        node.SetColor(_color_function(_FINGERPRINT))
+        gradient = presets.GRADIENT_OPACITY
+        node.SetGradientOpacity(_piecewise([(0.0, gradient), (255.0, gradient)]))
+        _set_curve(display, measured_axis(volume_node), opacity)
+    _set_shader(display)
+
+
+def set_opacity(volume_node, opacity: float) -> None:
+    """The one opacity slider: 0 (nothing is seen) to 1 (solid)."""
+    display = display_node_of(volume_node)
+    if display is None:
+        return
+    with slicer.util.NodeModify(display.GetVolumePropertyNode()):
+        _set_curve(display, _stored_axis(display) or measured_axis(volume_node), opacity)
+
+
+def opacity_of(volume_node) -> float:
+    """The slider's value for a volume: what was set, or the default."""
+    from MedColorLib.rendering import presets
+
+    display = display_node_of(volume_node)
+    text = display.GetAttribute(OPACITY_ATTRIBUTE) if display else None
+    return float(text) if text else presets.DEFAULT_OPACITY
+
+
+def refresh(volume_node) -> None:
+    """After the voxels changed: move the opacity curve, the user's own one too, to the new alpha axis."""
+    display = display_node_of(volume_node)
+    if display is None or display.GetAttribute(OPACITY_ATTRIBUTE) is None:
+        return
+    if not has_medcolor_look(display):
+        reset(volume_node)
+        return
+    old, new = _stored_axis(display), measured_axis(volume_node)
+    node = display.GetVolumePropertyNode()
+    if old is None or old["range"][1] == old["range"][0]:  # a single luminance: the curve had no shape to keep
+        with slicer.util.NodeModify(node):
+            _set_curve(display, new, opacity_of(volume_node))
+        return
+    points = [(_moved(x, old["range"], new["range"]), y) for x, y in _points_of(node.GetScalarOpacity())]
+    with slicer.util.NodeModify(node):
+        node.SetScalarOpacity(_piecewise(points))
+        _store_axis(display, new)
+
+
+def has_medcolor_look(display) -> bool:
+    """Whether the fingerprint is there and the components are not independent."""
+    node = display.GetVolumePropertyNode()
+    if node is None:
+        return False
+    function, values = node.GetColor(), [0.0] * 6
+    points = []
+    for index in range(function.GetSize()):
+        function.GetNodeValue(index, values)
+        points.append(tuple(round(value, 3) for value in values[:4]))
+    return points == _FINGERPRINT and not node.GetVolumeProperty().GetIndependentComponents()
+
+
+def measured_axis(volume_node) -> dict:
+    """Luminance range (as Slicer computes alpha) and opacity unit distance in millimetres of an RGB volume."""
+    import numpy as np
+    from vtk.util.numpy_support import vtk_to_numpy
+
+    from MedColorLib.rendering import presets
+
+    luminance = vtk.vtkImageLuminance()  # the filter Slicer itself uses: the same truncation
+    luminance.SetInputData(volume_node.GetImageData())
+    luminance.Update()
+    low, high = luminance.GetOutput().GetScalarRange()
+    i, j, k = volume_node.GetImageData().GetDimensions()
+    alpha = vtk_to_numpy(luminance.GetOutput().GetPointData().GetScalars()).reshape(k, j, i)
+    visible = alpha > 0
+    sides = [np.ptp(np.flatnonzero(visible.any(axis=axes))) + 1 if high > 0 else 1 for axes in ((1, 2), (0, 2), (0, 1))]
+    diagonal_mm = float(np.linalg.norm(np.array(sides[::-1]) * volume_node.GetSpacing()))
+    return {"range": [low, high], "unit_mm": presets.unit_distance_mm(diagonal_mm)}
+
+
+def _gpu_display_node(volume_node):
+    scene = volume_node.GetScene()
+    display = display_node_of(volume_node)
+    if display is not None and not display.IsA(DISPLAY_CLASS):  # CPU and multi-volume rendering do not show RGB
+        scene.RemoveNode(display)
+        display = None
+    if display is None:
+        display = scene.AddNewNodeByClass(DISPLAY_CLASS, f"{volume_node.GetName()} rendering")
+        display.SetVisibility(False)
+        volume_node.AddAndObserveDisplayNodeID(display.GetID())
+    if display.GetVolumePropertyNode() is None:
+        node = scene.AddNewNodeByClass("vtkMRMLVolumePropertyNode", f"{volume_node.GetName()} rendering property")
+        display.SetAndObserveVolumePropertyNodeID(node.GetID())
+    return display
+
+
+def _set_curve(display, axis: dict, opacity: float) -> None:
+    from MedColorLib.rendering import presets
+
+    points = presets.opacity_points(axis["range"][0], axis["range"][1], opacity)
+    display.GetVolumePropertyNode().SetScalarOpacity(_piecewise(points))
+    display.SetAttribute(OPACITY_ATTRIBUTE, repr(float(opacity)))
+    _store_axis(display, axis)
+
+
+def _store_axis(display, axis: dict) -> None:
+    display.SetAttribute(AXIS_ATTRIBUTE, json.dumps(axis))
+    display.GetVolumePropertyNode().GetVolumeProperty().SetScalarOpacityUnitDistance(axis["unit_mm"])
+
+
+def _stored_axis(display) -> dict | None:
+    text = display.GetAttribute(AXIS_ATTRIBUTE)
+    return json.loads(text) if text else None
+
+
+def _moved(x: float, old: list, new: list) -> float:
+    luminance = (x - old[0]) / (old[1] - old[0]) * 255.0
+    return new[0] + luminance / 255.0 * (new[1] - new[0])
+
+
+def restore_unsaved(display) -> None:
+    """What Slicer before 5.10 does not write into scene files."""
+    axis, prop = _stored_axis(display), display.GetVolumePropertyNode().GetVolumeProperty()
+    if axis and prop.GetScalarOpacityUnitDistance() != axis["unit_mm"]:
+        prop.SetScalarOpacityUnitDistance(axis["unit_mm"])
+    _set_shader(display)
+
+
+def _set_shader(display) -> None:
+    from MedColorLib.rendering import presets
+
+    code = _SHADER_CODE.replace("AIR", f"{(presets.ALPHA_AIR + 0.5) / 255.0:.6f}") + _SHADER_LINE
+    mark = str(zlib.crc32(code.encode()))
+    node = display.GetOrCreateShaderPropertyNode(display.GetScene())
+    shader = node.GetShaderProperty()
+    if node.GetAttribute(_SHADER_ATTRIBUTE) == mark and shader.GetNumberOfShaderReplacements() == 1:
+        return  # a change, even to the same text, would compile the shader anew
+    shader.ClearAllFragmentShaderReplacements()
+    shader.AddFragmentShaderReplacement(_SHADER_LINE, False, code, True)
+    node.SetAttribute(_SHADER_ATTRIBUTE, mark)
+    node.SetName(f"{display.GetName()} shader")
+
+
+def _piecewise(points):
+    function = vtk.vtkPiecewiseFunction()
+    for x, y in points:
+        function.AddPoint(x, y)
+    return function
+
+
+def _color_function(points):
+    function = vtk.vtkColorTransferFunction()
+    for point in points:
+        function.AddRGBPoint(*point)
+    return function
+
+
+def _points_of(function):
+    values = [0.0] * 4
+    points = []
+    for index in range(function.GetSize()):
+        function.GetNodeValue(index, values)
+        points.append((values[0], values[1]))
+    return points

@@ -1,0 +1,117 @@
+"""A computation in a worker thread, while the window stays responsive and one button can cancel it."""
+
+from __future__ import annotations
+
+import logging
+import queue
+import threading
+import time
+
+_POLL_SECONDS = 0.03
+
+
+class Job:
+    """State of one run, shared by the worker (which reports) and the panel (which shows and cancels)."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._cancel = threading.Event()
+        self._fraction, self._text = 0.0, ""
+        self._start = time.monotonic()
+
+    def progress(self, fraction: float, text: str = "") -> None:
+        """To be called by the library from the worker."""
+        with self._lock:
+            self._fraction, self._text = min(max(float(fraction), 0.0), 1.0), str(text)
+
+    def cancelled(self) -> bool:
+        """To be asked by the library from the worker."""
+        return self._cancel.is_set()
+
+    def cancel(self) -> None:
+        """The user's decision; the worker stops at its next question."""
+        self._cancel.set()
+
+    def state(self) -> tuple[float, str, float | None]:
+        """(fraction 0..1, what is being done, seconds left or None while that is a guess)."""
+        with self._lock:
+            fraction, text = self._fraction, self._text
+        elapsed = time.monotonic() - self._start
+        left = elapsed * (1.0 - fraction) / fraction if fraction >= 0.03 and elapsed > 1.0 else None
+        return fraction, text, left
+
+    def elapsed_seconds(self) -> float:
+        """Seconds since the run began."""
+        return time.monotonic() - self._start
+
+
+def run_responsive(function, keep_alive, poll_seconds: float = _POLL_SECONDS):
+    """Call `function()` in a worker thread; call `keep_alive()` here many times a second until it is done.
+
+    The worker must touch neither widgets nor the scene. What it logs is handed over and logged here, because Slicer's
+    log belongs to the main thread.
+
+    Returns:
+        What `function` returns.
+
+    Raises:
+        What `function` raises.
+    """
+    outcome: dict = {}
+    records: queue.SimpleQueue = queue.SimpleQueue()
+
+    def work() -> None:
+        try:
+            outcome["result"] = function()
+        except BaseException as error:  # handed over and raised in the calling thread
+            outcome["error"] = error
+
+    worker = threading.Thread(target=work, name="MedColor", daemon=True)
+    with _redirected_log(worker, records):
+        worker.start()
+        while worker.is_alive():
+            keep_alive()
+            _log_here(records)
+            worker.join(poll_seconds)  # releases the interpreter lock: the worker gets on
+    _log_here(records)
+    if "error" in outcome:
+        raise outcome["error"]
+    return outcome["result"]
+
+
+class _redirected_log:  # used like a function
+    """Takes the worker's records out of the "MedColor" log and puts them into a queue."""
+
+    def __init__(self, worker, records) -> None:
+        self._worker, self._records = worker, records
+        self._logger = logging.getLogger("MedColor")
+
+    def __enter__(self) -> None:
+        self._logger.addFilter(self._catch)
+
+    def __exit__(self, *_exception) -> None:
+        self._logger.removeFilter(self._catch)
+
+    def _catch(self, record) -> bool:
+        if record.thread != self._worker.ident:
+            return True
+        self._records.put(record)
+        return False
+
+
+def _log_here(records) -> None:
+    while True:
+        try:
+            record = records.get_nowait()
+        except queue.Empty:
+            return
+        logging.getLogger("MedColor").callHandlers(record)
+
+
+def readable_seconds(seconds: float) -> str:
+    """A duration as people say it: 40 s, 3 min, 1 h 20 min."""
+    seconds = max(round(seconds), 1)
+    if seconds < 90:
+        return f"{seconds} s"
+    minutes = round(seconds / 60)
+    return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"

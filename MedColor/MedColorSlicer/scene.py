@@ -1,0 +1,236 @@
+"""MRML nodes <-> arrays and geometry. Copies, never borrows: a node may change or vanish while the library works."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+
+import slicer
+import vtk
+from slicer.i18n import tr as _
+
+SETTINGS_ATTRIBUTE = "MedColor.Settings"
+REPORT_ATTRIBUTE = "MedColor.Report"
+INPUT_ROLE = "MedColorInput"
+
+
+def input_problem(node) -> str:
+    """Why a node cannot be coloured, as a sentence that says what to do; empty if it can."""
+    if node is None:
+        return _("Select a volume to colour.")
+    name = node.GetName()
+    if node.GetScene() is None:
+        return _("The volume has been removed from the scene; select another one.")
+    if node.IsA("vtkMRMLLabelMapVolumeNode") or node.IsA("vtkMRMLSegmentationNode"):
+        return _("{name} is a label map; select the grey volume it was drawn on.").format(name=name)
+    if node.IsA("vtkMRMLTensorVolumeNode") or not node.IsA("vtkMRMLScalarVolumeNode"):
+        return _("{name} has several values per voxel; select a scalar (grey) volume.").format(name=name)
+    return _voxel_problem(node)
+
+
+def _voxel_problem(node) -> str:
+    image = node.GetImageData()
+    if image is None or image.GetPointData().GetScalars() is None or not all(image.GetDimensions()):
+        return _("{name} has no voxels; load its image data or select another volume.").format(name=node.GetName())
+    count = image.GetNumberOfScalarComponents()
+    return (
+        ""
+        if count == 1
+        else _("{name} has {count} values per voxel; select a scalar (grey) volume.").format(
+            name=node.GetName(), count=count
+        )
+    )
+
+
+def volume_from_node(node):
+    """MedColorLib.Volume of a scalar volume node: a copy of its voxels, placed in the world.
+
+    A linear parent transform is part of the geometry. A non-linear one is not: it has no matrix, and colouring does not
+    depend on it; the result goes under the same transform all the same.
+
+    Raises:
+        MedColorLib.errors.InputError: the node cannot be coloured.
+    """
+    from MedColorLib.errors import InputError
+    from MedColorLib.volume import Volume
+
+    problem = input_problem(node)
+    if problem:
+        raise InputError(problem)
+    # no window is taken from the display node: the result must not depend on how the volume was last looked at
+    return Volume(slicer.util.arrayFromVolume(node).copy(), ijk_to_world(node), name=node.GetName())
+
+
+def ijk_to_world(node):
+    """(4, 4) float64: the node's IJK-to-RAS matrix, followed by its linear parent transforms."""
+    matrix = vtk.vtkMatrix4x4()
+    node.GetIJKToRASMatrix(matrix)
+    transform = node.GetParentTransformNode()
+    if transform and transform.IsTransformToWorldLinear():
+        to_world = vtk.vtkMatrix4x4()
+        transform.GetMatrixTransformToWorld(to_world)
+        vtk.vtkMatrix4x4.Multiply4x4(to_world, matrix, matrix)
+    return slicer.util.arrayFromVTKMatrix(matrix)
+
+
+def region_from_roi(roi_node, input_node):
+    """((k0, k1), (j0, j1), (i0, i1)), half-open voxel ranges of the box around a markups ROI; None without one.
+
+    Raises:
+        MedColorLib.errors.InputError: the region lies outside the volume.
+    """
+    if roi_node is None:
+        return None
+    import numpy as np
+
+    from MedColorLib.errors import InputError
+
+    bounds = [0.0] * 6
+    roi_node.GetRASBounds(bounds)
+    corners = np.array([[bounds[a], bounds[2 + b], bounds[4 + c], 1.0] for a in (0, 1) for b in (0, 1) for c in (0, 1)])
+    ijk = (np.linalg.inv(ijk_to_world(input_node)) @ corners.T)[:3]
+    size = np.array(input_node.GetImageData().GetDimensions())
+    low = np.clip(np.floor(ijk.min(axis=1) + 0.5), 0, size).astype(int)
+    high = np.clip(np.ceil(ijk.max(axis=1) + 0.5), 0, size).astype(int)
+    if (high <= low).any():
+        raise InputError(_("{name} lies outside the volume; move it or select none.").format(name=roi_node.GetName()))
+    return tuple((int(low[axis]), int(high[axis])) for axis in (2, 1, 0))
+
+
+def settings_for_region(settings, region, input_node):
+    """Settings that colour only the slices a region meets; as they are without a region.
+
+    Whole slices are coloured, because the outline of the body is what they are matched by; `only_inside` cuts the rest.
+
+    Raises:
+        MedColorLib.errors.InputError: the region meets none of the slices asked for.
+    """
+    if region is None:
+        return settings
+    from MedColorLib.errors import InputError
+
+    order, count = stack_of(input_node, settings.plane)
+    start, stop = region[order.axes[0]]
+    if order.flips[0]:
+        start, stop = count - stop, count - start
+    if settings.slices:
+        start, stop = max(start, settings.slices[0]), min(stop, settings.slices[1])
+    if start >= stop:
+        raise InputError(_("The region of interest meets none of the chosen slices; move it or choose all slices."))
+    return dataclasses.replace(settings, slices=(start, stop))
+
+
+def only_inside(color_volume, region):
+    """The result with black outside a region ((k0, k1), (j0, j1), (i0, i1)); as it is without one."""
+    if region is None:
+        return color_volume
+    import numpy as np
+
+    box = tuple(slice(start, stop) for start, stop in region)
+    rgb = np.zeros_like(color_volume.rgb)
+    rgb[box] = color_volume.rgb[box]
+    return dataclasses.replace(color_volume, rgb=rgb, report={**color_volume.report, "region_kji": region})
+
+
+def stack_of(node, plane: str = "transverse"):
+    """(MedColorLib.slices.SliceOrder, number of slices): the stack that slice numbers refer to."""
+    from MedColorLib.slices import slice_order
+
+    order = slice_order(ijk_to_world(node), plane)
+    return order, node.GetImageData().GetDimensions()[2 - order.axes[0]]
+
+
+def slice_index_at(node, ras) -> int:
+    """Number of the slice of a volume nearest to a world position (RAS, mm), clipped to the volume."""
+    import numpy as np
+
+    order, count = stack_of(node)
+    ijk = np.linalg.inv(ijk_to_world(node)) @ np.array([*ras, 1.0])
+    index = round(float(ijk[2 - order.axes[0]]))
+    return int(np.clip(count - 1 - index if order.flips[0] else index, 0, count - 1))
+
+
+def slab_at(node, number: int):
+    """Where a slice lies in the array: (index expression for (k, j, i), offset (i, j, k) of its first voxel)."""
+    order, count = stack_of(node)
+    axis, index = order.axes[0], count - 1 - number if order.flips[0] else number
+    slab = tuple(slice(index, index + 1) if n == axis else slice(None) for n in range(3))
+    return slab, tuple(index if 2 - n == axis else 0 for n in range(3))
+
+
+def publish(color_volume, input_node, output_node=None, settings: dict | None = None, name: str | None = None):
+    """Put a result into the scene, all or nothing.
+
+    Args:
+        color_volume: MedColorLib.ColorVolume on the grid of the input.
+        output_node: vtkMRMLVectorVolumeNode to fill again; None makes a new one, named after the input.
+        settings: plain data, kept as a node attribute beside the report.
+
+    Returns:
+        The result node: same IJK-to-RAS matrix, parent transform and subject-hierarchy folder as the input.
+    """
+    scene = input_node.GetScene()
+    attributes = {
+        SETTINGS_ATTRIBUTE: json.dumps(settings or {}, sort_keys=True),
+        REPORT_ATTRIBUTE: json.dumps(color_volume.report, sort_keys=True),
+    }
+    node = output_node
+    if node is None:
+        name = scene.GenerateUniqueName(name or f"{input_node.GetName()} colored")
+        node = scene.AddNewNodeByClass("vtkMRMLVectorVolumeNode", name)
+    try:
+        _fill(node, color_volume.rgb, input_node)
+        for key, text in attributes.items():
+            node.SetAttribute(key, text)
+        node.SetNodeReferenceID(INPUT_ROLE, input_node.GetID())
+        if output_node is None:
+            _place_beside(node, input_node)
+    except BaseException:
+        if output_node is None:
+            remove(node)
+        raise
+    return node
+
+
+def remove(node) -> None:
+    """Remove a volume node together with its display nodes, which the scene would keep."""
+    scene = node.GetScene()
+    for index in reversed(range(node.GetNumberOfDisplayNodes())):
+        display = node.GetNthDisplayNode(index)
+        if display is not None:
+            scene.RemoveNode(display)
+    scene.RemoveNode(node)
+
+
+def _fill(node, rgb, input_node) -> None:
+    matrix = vtk.vtkMatrix4x4()
+    input_node.GetIJKToRASMatrix(matrix)
+    with slicer.util.NodeModify(node):
+        slicer.util.updateVolumeFromArray(node, rgb)
+        node.SetIJKToRASMatrix(matrix)
+        node.SetVoxelVectorType(node.VoxelVectorTypeColorRGB)
+        node.SetAndObserveTransformNodeID(input_node.GetTransformNodeID())
+    if node.GetVolumeDisplayNode() is None:
+        node.CreateDefaultDisplayNodes()
+
+
+def _place_beside(node, input_node) -> None:
+    hierarchy = slicer.vtkMRMLSubjectHierarchyNode.GetSubjectHierarchyNode(input_node.GetScene())
+    if hierarchy is None:
+        return
+    item = hierarchy.GetItemByDataNode(input_node)
+    if not item:
+        return
+    parent = hierarchy.GetItemParent(item)
+    own = hierarchy.GetItemByDataNode(node)
+    if own:
+        hierarchy.SetItemParent(own, parent)
+    else:  # Slicer makes items for new nodes by itself; without its plugins nobody does
+        hierarchy.CreateItem(parent, node)
+
+
+def place_part(node, input_node, offset_ijk) -> None:
+    """Place a node that holds a part of the input's voxels, the first of them at `offset_ijk`."""
+    matrix = vtk.vtkMatrix4x4()
+    input_node.GetIJKToRASMatrix(matrix)
+    node.SetOrigin(matrix.MultiplyPoint([*map(float, offset_ijk), 1.0])[:3])

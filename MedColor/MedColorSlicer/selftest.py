@@ -1,0 +1,351 @@
+"""The test behind Slicer's "Reload and Test", and of `Testing/Slicer/run_in_slicer.py`.
+
+What needs torch or a 3-D view is skipped with a reason where there is none; everything else runs in any Slicer. Where a
+test is not about the colours themselves, a quick stand-in takes the place of the library's computation.
+"""
+
+import json
+import os
+import tempfile
+import time
+import unittest.mock
+
+import slicer
+import vtk
+from slicer.ScriptedLoadableModule import ScriptedLoadableModuleTest
+
+LEFT, RIGHT = (200, 120, 60), (60, 120, 200)
+TOLERANCE = 8  # levels of 255
+
+
+class MedColorTest(ScriptedLoadableModuleTest):
+    """Each method is one test; `runTest` runs them all, as Slicer's button does."""
+
+    def runTest(self):
+        suite = unittest.defaultTestLoader.loadTestsFromTestCase(type(self))
+        result = unittest.TextTestRunner(verbosity=2).run(suite)
+        for test, reason in result.skipped:
+            print(f"SKIPPED {test.id()}: {reason}")
+        if not result.wasSuccessful():
+            raise AssertionError(f"{len(result.failures) + len(result.errors)} tests failed; see the log")
+
+    def setUp(self):
+        slicer.mrmlScene.Clear(0)
+
+    # --- scene ---------------------------------------------------------------------------------------------------
+
+    def test_result_takes_type_geometry_and_transform_of_the_input(self):
+        import numpy as np
+
+        grey = _grey()
+        matrix = vtk.vtkMatrix4x4()
+        matrix.DeepCopy((0, -2, 0, 5, 1, 0, 0, 6, 0, 0, 3, 7, 0, 0, 0, 1))
+        grey.SetIJKToRASMatrix(matrix)
+        transform = slicer.mrmlScene.AddNewNodeByClass("vtkMRMLLinearTransformNode")
+        grey.SetAndObserveTransformNodeID(transform.GetID())
+        result = self._process(grey)
+        self.assertTrue(result.IsA("vtkMRMLVectorVolumeNode"))
+        self.assertEqual(result.GetVoxelVectorType(), result.VoxelVectorTypeColorRGB)
+        self.assertEqual(result.GetTransformNodeID(), transform.GetID())
+        self.assertEqual(result.GetName(), "grey colored")
+        got = vtk.vtkMatrix4x4()
+        result.GetIJKToRASMatrix(got)
+        np.testing.assert_allclose(slicer.util.arrayFromVTKMatrix(got), slicer.util.arrayFromVTKMatrix(matrix))
+        self.assertEqual(json.loads(result.GetAttribute("MedColor.Settings"))["preset"], "balanced")
+        hierarchy = slicer.vtkMRMLSubjectHierarchyNode.GetSubjectHierarchyNode(slicer.mrmlScene)
+        item, own = hierarchy.GetItemByDataNode(grey), hierarchy.GetItemByDataNode(result)
+        if item:
+            self.assertEqual(hierarchy.GetItemParent(own), hierarchy.GetItemParent(item))
+
+    def test_rerun_fills_the_same_node(self):
+        grey = _grey()
+        result = self._process(grey)
+        count = slicer.mrmlScene.GetNumberOfNodes()
+        self.assertIs(self._process(grey, result), result)
+        self.assertEqual(slicer.mrmlScene.GetNumberOfNodes(), count)
+
+    def test_cancel_leaves_the_scene_as_it_was(self):
+        from MedColorLib.errors import Cancelled
+
+        grey = _grey()
+        count = slicer.mrmlScene.GetNumberOfNodes()
+        with self.assertRaises(Cancelled):
+            self._process(grey, cancelled=lambda: True)
+        self.assertEqual(slicer.mrmlScene.GetNumberOfNodes(), count)
+
+    def test_bad_inputs_say_what_to_do(self):
+        from MedColorLib.errors import MedColorError
+
+        for make in (
+            lambda: None,
+            lambda: slicer.mrmlScene.AddNewNodeByClass("vtkMRMLScalarVolumeNode"),
+            lambda: slicer.mrmlScene.AddNewNodeByClass("vtkMRMLLabelMapVolumeNode"),
+            _two_colors,
+        ):
+            with self.assertRaises(MedColorError) as caught:
+                self._process(make())
+            self.assertTrue(str(caught.exception).endswith("."))
+
+    # --- rendering -----------------------------------------------------------------------------------------------
+
+    def test_rendering_survives_preset_and_scene_file(self):
+        from MedColorSlicer import rendering
+
+        result = _two_colors()
+        display = _logic().showVolumeRendering(result, opacity=0.8)
+        curve = _curve(display)
+        presets = slicer.modules.volumerendering.logic()
+        display.GetVolumePropertyNode().CopyContent(presets.GetPresetByName("CT-Bones"))
+        self.assertEqual(_curve(display), curve)
+        with tempfile.TemporaryDirectory() as folder:
+            bundle = os.path.join(folder, "scene.mrb")
+            self.assertTrue(slicer.mrmlScene.WriteToMRB(bundle))
+            slicer.mrmlScene.Clear(0)
+            self.assertTrue(slicer.mrmlScene.ReadFromMRB(bundle))
+        (result,) = slicer.util.getNodesByClass("vtkMRMLVectorVolumeNode")
+        self.assertEqual(result.GetVoxelVectorType(), result.VoxelVectorTypeColorRGB)
+        display = rendering.display_node_of(result)
+        for before, after in zip(curve, _curve(display)):
+            self.assertAlmostEqual(before[0], after[0], places=3)
+            self.assertAlmostEqual(before[1], after[1], places=3)
+        self.assertEqual(rendering.opacity_of(result), 0.8)
+        self.assertEqual(display.GetShaderPropertyNode().GetShaderProperty().GetNumberOfShaderReplacements(), 1)
+
+    def test_known_colors_in_the_3d_view(self):
+        view = self._three_d_view()
+        result = _two_colors()
+        display = _logic().showVolumeRendering(result)
+        display.GetVolumePropertyNode().GetVolumeProperty().ShadeOff()
+        self._assert_both_colors(_picture(view, result))
+        display.GetVolumePropertyNode().CopyContent(slicer.modules.volumerendering.logic().GetPresetByName("CT-Bones"))
+        display.GetVolumePropertyNode().GetVolumeProperty().ShadeOff()
+        self._assert_both_colors(_picture(view, result))
+        _logic().hideVolumeRendering(result)
+        self.assertEqual(_picture(view, result).max(), 0)
+
+    def test_comparison_layout(self):
+        manager = slicer.app.layoutManager()
+        if manager is None:
+            self.skipTest("no main window, so there is no layout; run without --no-main-window")
+        grey, result = _grey((48, 48, 48)), _two_colors()
+        before = manager.layout
+        color_view, grey_view = _logic().showComparison(grey, result)
+        self.assertNotEqual(color_view.GetID(), grey_view.GetID())
+        self.assertEqual(manager.layout, slicer.vtkMRMLLayoutNode.SlicerLayoutDual3DView)
+        _logic().hideComparison(grey, result)
+        self.assertEqual(manager.layout, before)
+
+    # --- panel ---------------------------------------------------------------------------------------------------
+
+    def test_panel_apply_preview_and_display(self):
+        panel = self._panel()
+        self.assertFalse(panel.ui.applyButton.enabled)
+        self.assertTrue(panel.ui.applyButton.toolTip)
+        grey, picture = _grey((12, 24, 24)), _picture_node()
+        panel.parameters.inputVolume = grey
+        panel.parameters.referenceSource = "node"
+        panel.parameters.referenceNode = picture
+        self.assertTrue(panel.ui.applyButton.enabled, panel.ui.applyButton.toolTip)
+        with self._stand_in(seconds=0.2):
+            panel.ui.previewButton.click()
+            self.assertIn("Preview", panel.ui.statusLabel.text)
+            panel.ui.applyButton.click()
+        result = panel.parameters.outputVolume
+        self.assertIsNotNone(result, panel.ui.statusLabel.text)
+        self.assertEqual(panel.ui.applyButton.text, "Apply")
+        self.assertFalse(
+            [n for n in slicer.util.getNodesByClass("vtkMRMLVectorVolumeNode") if "preview" in n.GetName()]
+        )
+        panel.ui.show3DCheckBox.click()
+        panel.ui.opacitySlider.value = 0.5
+        from MedColorSlicer import rendering
+
+        self.assertAlmostEqual(rendering.opacity_of(result), 0.5)
+        panel.ui.resetRenderingButton.click()
+        panel.ui.compareCheckBox.click()
+        panel.ui.fadeSlider.value = 0.25
+        panel.ui.compareCheckBox.click()
+        panel.ui.show3DCheckBox.click()
+        self.assertFalse(rendering.display_node_of(result).GetVisibility())
+
+    def test_panel_cancel_and_error(self):
+        panel = self._panel()
+        panel.parameters.inputVolume = _grey((12, 24, 24))
+        panel.parameters.referenceSource = "node"
+        panel.parameters.referenceNode = _picture_node()
+        count = slicer.mrmlScene.GetNumberOfNodes()
+        with self._stand_in(seconds=2.0) as stand_in:
+            stand_in.in_the_middle = lambda: panel.job.cancel()  # noqa: PLW0108 - there is no job yet
+            panel.ui.applyButton.click()
+        self.assertIn("Cancelled", panel.ui.statusLabel.text)
+        with self._stand_in() as stand_in:
+            stand_in.in_the_middle = _raise_value_error
+            panel.ui.applyButton.click()
+        self.assertIn("ValueError", panel.ui.statusLabel.text)
+        self.assertEqual(slicer.mrmlScene.GetNumberOfNodes(), count)
+        self.assertTrue(panel.ui.applyButton.enabled)
+
+    def test_panel_survives_scene_close_leave_and_return(self):
+        panel = self._panel()
+        slicer.mrmlScene.Clear(0)
+        panel.exit()
+        panel.enter()
+        self.assertFalse(panel.ui.applyButton.enabled)
+
+    # --- the whole way -------------------------------------------------------------------------------------------
+
+    def test_phantom_is_colored(self):
+        from MedColorSlicer import dependencies, samples
+
+        if dependencies.torch_missing() or dependencies.missing():
+            missing = (["torch"] if dependencies.torch_missing() else []) + dependencies.missing()
+            self.skipTest(f"packages are not installed: {', '.join(missing)}")
+        grey, picture = samples.load_phantom()
+        result = _logic().process(grey, picture, preset="draft", features="embedded", slices=(20, 22))
+        voxels = slicer.util.arrayFromVolume(result)
+        self.assertEqual(voxels.shape[:3], slicer.util.arrayFromVolume(grey).shape)
+        self.assertGreater(int((voxels.max(axis=3).astype(int) - voxels.min(axis=3)).max()), 20)
+
+    # --- helpers -------------------------------------------------------------------------------------------------
+
+    def _process(self, grey, output=None, **options):
+        import numpy as np
+
+        with self._stand_in():
+            return _logic().process(grey, [np.full((4, 5, 3), (180, 90, 40), np.uint8)], output, **options)
+
+    def _stand_in(self, seconds=0.0):
+        return _StandIn(seconds)
+
+    def _panel(self):
+        panel = slicer.modules.medcolor.widgetRepresentation().self()
+        panel.enter()
+        return panel
+
+    def _three_d_view(self):
+        manager = slicer.app.layoutManager()
+        if manager is None or manager.threeDViewCount == 0:
+            self.skipTest("no 3-D view; run without --no-main-window")
+        return manager.threeDWidget(0).threeDView()
+
+    def _assert_both_colors(self, picture):
+        import numpy as np
+
+        for color in (LEFT, RIGHT):
+            near = (np.abs(picture.astype(int) - color).max(axis=2) <= TOLERANCE).mean()
+            self.assertGreater(near, 0.02, f"{color} is not seen in the 3-D view")
+
+
+class _StandIn:
+    """In place of MedColorLib.colorize and of the package check: quick, cancellable, and able to fail half way."""
+
+    def __init__(self, seconds):
+        self.seconds, self.in_the_middle = seconds, lambda: None
+
+    def __enter__(self):
+        import MedColorLib
+        from MedColorSlicer import dependencies
+
+        self._patches = [
+            unittest.mock.patch.object(MedColorLib, "colorize", self),
+            unittest.mock.patch.object(dependencies, "ensure", lambda: None),
+        ]
+        for patch in self._patches:
+            patch.start()
+        return self
+
+    def __exit__(self, *_exception):
+        for patch in self._patches:
+            patch.stop()
+
+    def __call__(self, volume, references, settings=None, progress=None, cancelled=None):
+        import numpy as np
+
+        from MedColorLib.errors import Cancelled
+        from MedColorLib.volume import ColorVolume
+
+        for step in range(10):
+            if progress:
+                progress(step / 10, "stand-in")
+            if step == 5:
+                self.in_the_middle()
+            time.sleep(self.seconds / 10)
+            if cancelled and cancelled():
+                raise Cancelled
+        rgb = np.zeros((*volume.array.shape, 3), np.uint8)
+        rgb[volume.array > 0] = LEFT
+        return ColorVolume(rgb, volume.ijk_to_ras, {"settings": settings.to_dict()})
+
+
+def _logic():
+    from MedColorSlicer.logic import MedColorLogic
+
+    return MedColorLogic()
+
+
+def _raise_value_error():
+    raise ValueError("made by the test")
+
+
+def _grey(shape=(6, 8, 10)):
+    import numpy as np
+
+    voxels = np.arange(np.prod(shape)).reshape(shape).astype(np.int16)
+    return slicer.util.addVolumeFromArray(voxels, name="grey")
+
+
+def _picture_node():
+    import numpy as np
+
+    voxels = np.full((1, 16, 16, 3), (180, 90, 40), np.uint8)
+    return slicer.util.addVolumeFromArray(voxels, name="picture", nodeClassName="vtkMRMLVectorVolumeNode")
+
+
+def _two_colors(size=48, radius=18):
+    import numpy as np
+
+    center = (size - 1) / 2
+    k, j, i = np.mgrid[:size, :size, :size]
+    inside = (k - center) ** 2 + (j - center) ** 2 + (i - center) ** 2 < radius**2
+    rgb = np.zeros((size, size, size, 3), np.uint8)
+    rgb[inside & (i < center)] = LEFT
+    rgb[inside & (i > center)] = RIGHT
+    node = slicer.util.addVolumeFromArray(rgb, name="ball", nodeClassName="vtkMRMLVectorVolumeNode")
+    node.SetVoxelVectorType(node.VoxelVectorTypeColorRGB)
+    return node
+
+
+def _curve(display):
+    function, values = display.GetVolumePropertyNode().GetScalarOpacity(), [0.0] * 4
+    points = []
+    for index in range(function.GetSize()):
+        function.GetNodeValue(index, values)
+        points.append((values[0], values[1]))
+    return points
+
+
+def _picture(view, volume_node):
+    """(height, width, 3) of a 3-D view on black, looking from the front at the volume."""
+    from vtk.util.numpy_support import vtk_to_numpy
+
+    node = view.mrmlViewNode()
+    node.SetBackgroundColor(0, 0, 0)
+    node.SetBackgroundColor2(0, 0, 0)
+    node.SetBoxVisible(False)
+    node.SetAxisLabelsVisible(False)
+    window = view.renderWindow()
+    bounds = [0.0] * 6
+    volume_node.GetRASBounds(bounds)
+    camera = window.GetRenderers().GetFirstRenderer().GetActiveCamera()
+    middle = [(bounds[2 * axis] + bounds[2 * axis + 1]) / 2 for axis in range(3)]
+    camera.SetFocalPoint(middle)
+    camera.SetPosition(middle[0], middle[1] + 150, middle[2])
+    camera.SetViewUp(0, 0, 1)
+    window.GetRenderers().GetFirstRenderer().ResetCameraClippingRange()
+    view.forceRender()
+    grab = vtk.vtkWindowToImageFilter()
+    grab.SetInput(window)
+    grab.ReadFrontBufferOff()
+    grab.Update()
+    width, height, _depth = grab.GetOutput().GetDimensions()
+    return vtk_to_numpy(grab.GetOutput().GetPointData().GetScalars()).reshape(height, width, -1)[..., :3]

@@ -1,0 +1,1 @@
+# Slicer configures its package archive here; a plain "cmake --install" is enough for the stub.

@@ -1,0 +1,131 @@
+"""Fixtures of the cases that run in a process of their own (`Testing/Module/test_in_host.py` starts them).
+
+The library's colouring is replaced by a quick stand-in where a case is about the scene or the panel.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
+os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
+
+LEFT, RIGHT = (200, 120, 60), (60, 120, 200)
+
+
+@pytest.fixture(scope="session")
+def host():
+    """Slicer's scene and logics, without Qt."""
+    import mrml
+    import slicer_like
+
+    scene_host = mrml.HostScene()
+    slicer_like.install(scene_host)
+    return scene_host
+
+
+@pytest.fixture(scope="session")
+def qt_host(tmp_path_factory):
+    """The same with PySide6 dressed as Slicer's Qt, and settings of its own."""
+    import mrml
+    import slicer_like
+    from PySide6 import QtCore, QtWidgets
+
+    application = QtWidgets.QApplication([])
+    application.setOrganizationName("MedColorTests")
+    settings = str(tmp_path_factory.mktemp("settings"))
+    QtCore.QSettings.setPath(QtCore.QSettings.NativeFormat, QtCore.QSettings.UserScope, settings)
+    scene_host = mrml.HostScene()
+    slicer_like.install(scene_host, application)
+    return scene_host
+
+
+@pytest.fixture
+def scene(host):
+    """An empty scene."""
+    empty(host.scene)
+    return host.scene
+
+
+def empty(scene):
+    """Close the scene; Slicer makes the subject hierarchy anew at once, here it has to be asked for."""
+    import slicer
+
+    scene.Clear(0)
+    slicer.vtkMRMLSubjectHierarchyNode.GetSubjectHierarchyNode(scene)
+
+
+@pytest.fixture
+def library(monkeypatch):
+    """MedColorLib with a stand-in for `colorize`, whose calls are kept."""
+    import MedColorLib
+
+    stand_in = StandIn()
+    monkeypatch.setattr(MedColorLib, "colorize", stand_in)
+    return stand_in
+
+
+class StandIn:
+    """Colours by position in no time; can be slowed down, or made to fail half way."""
+
+    def __init__(self):
+        self.calls, self.steps, self.error, self.pause_seconds = [], 4, None, 0.0
+        self.in_the_middle = lambda: None
+
+    def __call__(self, volume, references, settings=None, progress=None, cancelled=None):
+        from MedColorLib.errors import Cancelled
+        from MedColorLib.volume import ColorVolume
+
+        self.calls.append((volume, references, settings))
+        for step in range(self.steps):
+            if progress:
+                progress(step / self.steps, f"slice {step}")
+            if step == self.steps // 2:
+                self.in_the_middle()
+                if self.error:
+                    raise self.error
+            time.sleep(self.pause_seconds)
+            if cancelled and cancelled():
+                raise Cancelled
+        rgb = np.zeros((*volume.array.shape, 3), np.uint8)
+        rgb[..., :] = (150, 100, 50)
+        rgb[volume.array == 0] = 0
+        return ColorVolume(rgb, volume.ijk_to_ras, {"settings": settings.to_dict(), "made_by": "stand-in"})
+
+
+def grey_node(name="head", shape=(6, 8, 10), matrix=None, dtype=np.int16):
+    """A scalar volume node with distinct voxels, none of them 0."""
+    import slicer
+
+    voxels = np.arange(1, 1 + np.prod(shape)).reshape(shape).astype(dtype)
+    return slicer.util.addVolumeFromArray(voxels, np.eye(4) if matrix is None else matrix, name)
+
+
+def color_node(rgb, name="colored"):
+    """A colour volume node as MedColor makes them."""
+    import slicer
+
+    node = slicer.util.addVolumeFromArray(np.asarray(rgb), name=name, nodeClassName="vtkMRMLVectorVolumeNode")
+    node.SetVoxelVectorType(node.VoxelVectorTypeColorRGB)
+    return node
+
+
+def two_colors(size=48, radius=18, left=LEFT, right=RIGHT):
+    """(k, j, i, 3): a ball of two colours in black; i below the middle is `left`."""
+    center = (size - 1) / 2
+    k, j, i = np.mgrid[:size, :size, :size]
+    inside = (k - center) ** 2 + (j - center) ** 2 + (i - center) ** 2 < radius**2
+    rgb = np.zeros((size, size, size, 3), np.uint8)
+    rgb[inside & (i < center)] = left
+    rgb[inside & (i > center)] = right
+    return rgb
+
+
+def node_ids(scene):
+    """What is in a scene, to compare before and after."""
+    return [scene.GetNthNode(n).GetID() for n in range(scene.GetNumberOfNodes())]
