@@ -17,7 +17,7 @@ PICTURE_ENDINGS = (".png", ".tif", ".tiff")
 
 
 @contextmanager
-def _quiet_cv2() -> Iterator[None]:
+def quiet_cv2() -> Iterator[None]:
     """Keep OpenCV's complaints about damaged files off stderr; they become an `InputError`."""
     from cv2.utils import logging as cv2_logging
 
@@ -47,7 +47,7 @@ def read_picture_folder(files: Sequence[Path], max_bytes: int) -> Volume:
 
     files = sorted(files, key=natural_key)
     array = np.empty(0)
-    with _quiet_cv2():
+    with quiet_cv2():
         for number, file in enumerate(files):
             try:
                 picture = _decoded(np.fromfile(file, np.uint8))
@@ -71,7 +71,7 @@ def read_tiff(path: Path, max_bytes: int) -> Volume:
 
     data = np.fromfile(path, np.uint8)
     pages = _tiff_page_count(data.data)
-    with _quiet_cv2():
+    with quiet_cv2():
         try:
             first = _decoded(data)
             if pages == 1:

@@ -37,6 +37,8 @@ def read_picture(path: str) -> np.ndarray:
 
     import cv2
 
+    from .picture_volume import quiet_cv2
+
     name = os.path.basename(path)
     if not os.path.isfile(path):
         raise InputError(f"reference: no file {path}")
@@ -45,13 +47,16 @@ def read_picture(path: str) -> np.ndarray:
             data = np.frombuffer(stream.read(), np.uint8)
     except OSError as error:
         raise InputError(f"reference {name}: cannot be read ({error.strerror}); check the permissions") from error
-    picture = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
+    with quiet_cv2():
+        picture = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
     if picture is None:
         raise InputError(f"reference {name}: not a picture that can be read; use PNG, JPEG or TIFF")
     if picture.ndim == 2:
         raise InputError(f"reference {name}: a grey picture; the reference must be a colour photograph (RGB)")
-    if picture.dtype != np.uint8:
-        picture = np.rint(picture / np.iinfo(picture.dtype).max * 255).astype(np.uint8)
+    if picture.dtype not in (np.uint8, np.uint16):
+        raise InputError(f"reference {name}: {picture.dtype} channels; save it with 8 or 16 bits per channel")
+    if picture.dtype == np.uint16:
+        picture = np.rint(picture / 65535 * 255).astype(np.uint8)
     if picture.shape[2] == 4:  # transparent is not tissue: the mask takes black at the border as background
         picture = np.where(picture[..., 3:] > 127, picture[..., :3], 0).astype(np.uint8)
     return np.ascontiguousarray(picture[..., ::-1])

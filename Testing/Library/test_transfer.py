@@ -1,0 +1,194 @@
+"""Transfer: the paper's equation by its own words, and what each choice of luminance promises."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from MedColorLib.color.difference import ciede2000
+from MedColorLib.color.gamut import gamma_decode, gamma_encode
+from MedColorLib.color.lab import gray_to_lightness, lab_to_srgb, lightness_to_gray, srgb_to_lab
+from MedColorLib.filters import FILTERS
+from MedColorLib.filters.regression import RegressionParameters, fit, predict
+from MedColorLib.grid import MARGIN, choose_grid, to_grid
+from MedColorLib.intensity import spreading_curve
+from MedColorLib.transfer import TransferParameters, transfer, transfer_lab
+
+GRID = choose_grid(64)
+INNER = np.s_[MARGIN:-MARGIN, MARGIN:-MARGIN]
+SMOOTHERS = ("regression", *FILTERS)
+BROWN, CREAM = (140, 90, 70), (222, 196, 150)
+
+
+def scan(shape=(48, 48), seed=0):
+    """Display grey with two tissues and noise, black at one corner; a round body."""
+    rng = np.random.default_rng(seed)
+    rows, cols = np.mgrid[-1 : 1 : shape[0] * 1j, -1 : 1 : shape[1] * 1j]
+    grey = np.where(rows + 0.5 * cols > 0, 0.65, 0.3) + rng.normal(0, 0.03, shape)
+    grey[: shape[0] // 4, : shape[1] // 4] = 0
+    return np.clip(grey, 0, 1).astype(np.float32), rows**2 + cols**2 < 0.95
+
+
+def matched_as(picture_rgb) -> np.ndarray:
+    """T' on the grid: a colour everywhere."""
+    return np.broadcast_to(srgb_to_lab(np.array(picture_rgb, np.float64) / 255), (64, 64, 3)).copy()
+
+
+def matched_two(grid_grey) -> np.ndarray:
+    return np.where(grid_grey[..., None] > 0.45, matched_as(CREAM), matched_as(BROWN))
+
+
+def arguments(shape=(48, 48)):
+    grey, mask = scan(shape)
+    grid_mask = to_grid(mask, GRID) > 0.5
+    grid_grey = to_grid(grey * mask, GRID) * grid_mask
+    return grey, mask, matched_two(grid_grey), grid_grey, grid_mask
+
+
+def lightness_of(rgb):
+    return srgb_to_lab(rgb)[..., 0]
+
+
+@pytest.mark.parametrize("gamma", [True, False])
+@pytest.mark.parametrize("smoother", SMOOTHERS)
+class TestEveryWay:
+    @pytest.mark.parametrize("luminance", ["keep", "paper"])
+    def test_uint8_black_outside_and_arguments_untouched(self, smoother, luminance, gamma):
+        given = arguments((60, 37))
+        before = [values.copy() for values in given]
+        rgb, clipped = transfer(*given, TransferParameters(smoother, luminance, gamma))
+        assert rgb.shape == (60, 37, 3) and rgb.dtype == np.uint8 and clipped >= 0
+        assert not rgb[~given[1]].any() and rgb[given[1]].any(-1).mean() > 0.8
+        for now, then in zip(given, before):
+            np.testing.assert_array_equal(now, then)
+
+    def test_kept_luminance_is_the_scans(self, smoother, gamma):
+        given = arguments()
+        rgb, _ = transfer(*given, TransferParameters(smoother, "keep", gamma))
+        inside = given[1]
+        error = np.abs(lightness_of(rgb) - gray_to_lightness(given[0].astype(np.float64)))[inside]
+        assert error.max() < 0.4  # the rounding of three bytes
+        black = inside & (given[0] == 0)
+        assert black.any() and not rgb[black].any()
+
+    def test_black_scan_stays_black(self, smoother, gamma):
+        grey, mask, matched, grid_grey, grid_mask = arguments()
+        rgb, _ = transfer(
+            0 * grey, mask, matched, 0 * grid_grey, grid_mask, TransferParameters(smoother, "keep", gamma)
+        )
+        assert not rgb.any()
+
+    def test_grey_matches_leave_the_scan_grey(self, smoother, gamma):
+        grey, mask, _, grid_grey, grid_mask = arguments()
+        parameters = TransferParameters(smoother, "keep", gamma)
+        rgb, clipped = transfer(grey, mask, matched_as((90, 90, 90)), grid_grey, grid_mask, parameters)
+        assert clipped == 0 and np.ptp(rgb, axis=-1).max() == 0
+        np.testing.assert_allclose(rgb[mask][:, 0], 255 * grey[mask], atol=0.51)
+
+
+# Gamma does not keep lightness: with the scan's own kept, the two cannot be alike on both sides of it.
+@pytest.mark.parametrize(("luminance", "gamma"), [("keep", False), ("paper", False), ("paper", True)])
+@pytest.mark.parametrize("smoother", SMOOTHERS)
+def test_a_scan_as_bright_as_its_matches_takes_their_colour(smoother, luminance, gamma):
+    mask = np.ones((48, 48), bool)
+    grid_mask = to_grid(mask, GRID) > 0.5
+    power = 0.5 if gamma else 1.0
+    encoded = lightness_of(gamma_encode(np.array([BROWN]) / 255, power))
+    grey = np.full((48, 48), gamma_decode(lightness_to_gray(encoded), power)[0])
+    given = grey, mask, matched_as(BROWN), to_grid(grey, GRID), grid_mask
+    rgb, _ = transfer(*given, TransferParameters(smoother, luminance, gamma))
+    assert np.abs(rgb.astype(int) - BROWN).max() <= 1
+
+
+def encoded_lab(lab, gamma):
+    return srgb_to_lab(gamma_encode(np.clip(lab_to_srgb(lab), 0, 1), 0.5)) if gamma else lab
+
+
+def decoded_lab(lab, gamma):
+    return srgb_to_lab(gamma_decode(np.clip(lab_to_srgb(lab), 0, 1), 0.5)) if gamma else lab
+
+
+@pytest.mark.parametrize("gamma", [True, False])
+@pytest.mark.parametrize("smoother", SMOOTHERS)
+def test_papers_equation_with_both_of_its_solves(smoother, gamma):
+    """S(T', T_L) - S(T_Lab, T_L) + T_Lab, word by word, on a slice as large as the grid's inner part.
+
+    The regression smooths a* and b*; L* goes through FGS beside it.
+    """
+    grey, _, matched, grid_grey, grid_mask = arguments()
+    mask = np.ones_like(grey, bool)
+    grid_mask = to_grid(mask, GRID) > 0.5
+    grid_grey = to_grid(grey, GRID)
+    scan_lab = np.zeros((*grey.shape, 3))
+    scan_lab[..., 0] = gray_to_lightness(gamma_encode(grey.astype(np.float64), 0.5 if gamma else 1))
+    reference_lab = encoded_lab(matched, gamma)[INNER]
+
+    def smoothed(source):
+        if smoother == "regression":
+            guide = 255 * grey.astype(np.float64)
+            chroma = predict(fit(source[..., 1:], guide, np.ones(grey.shape), RegressionParameters()), guide)
+            lightness = FILTERS["fgs"](source[..., :1], 2.55 * scan_lab[..., 0])
+            return np.concatenate([lightness, chroma], -1)
+        return FILTERS[smoother](source, 2.55 * scan_lab[..., 0])
+
+    expected = decoded_lab(smoothed(reference_lab) - smoothed(scan_lab) + scan_lab, gamma)
+    got = transfer_lab(grey, mask, matched, grid_grey, grid_mask, TransferParameters(smoother, "paper", gamma))
+    np.testing.assert_allclose(got, expected, atol=0.02)
+    kept = transfer_lab(grey, mask, matched, grid_grey, grid_mask, TransferParameters(smoother, "keep", gamma))
+    if not gamma:
+        np.testing.assert_allclose(kept[..., 1:], expected[..., 1:], atol=0.02)
+        np.testing.assert_allclose(kept[..., 0], scan_lab[..., 0], atol=1e-6)
+
+
+@pytest.mark.parametrize("smoother", SMOOTHERS)
+def test_tissues_take_the_colours_of_their_matches(smoother):
+    grey, mask, matched, grid_grey, grid_mask = arguments()
+    rgb, _ = transfer(grey, mask, matched, grid_grey, grid_mask, TransferParameters(smoother, "paper", False))
+    lab = srgb_to_lab(rgb)
+    rows, cols = np.mgrid[-1:1:48j, -1:1:48j]
+    far = mask & (np.abs(rows + 0.5 * cols) > 0.4) & (grey > 0)  # the filters of the paper let colour cross edges
+    assert ciede2000(lab, matched[INNER])[far].mean() < (6 if smoother == "regression" else 16)
+    assert lab[far & (grey > 0.45), 2].mean() > lab[far & (grey <= 0.45), 2].mean() + 2  # cream is the yellower one
+
+
+def test_gamma_changes_the_result():
+    given = arguments()
+    on, off = (transfer(*given, TransferParameters("fgs", "paper", gamma))[0].astype(int) for gamma in (True, False))
+    assert 1 < np.abs(on - off)[given[1]].mean() < 60
+
+
+def test_guide_curve_is_for_the_regression_only():
+    given = arguments()
+    curve = spreading_curve(given[0][given[1]])
+    for smoother in SMOOTHERS:
+        with_curve = transfer(*given, TransferParameters(smoother, "keep", False, curve))[0]
+        without = transfer(*given, TransferParameters(smoother, "keep", False))[0]
+        assert (with_curve != without).any() == (smoother == "regression")
+
+
+def test_colours_out_of_gamut_are_counted_and_keep_the_luminance():
+    grey, mask, _, grid_grey, grid_mask = arguments()
+    given = grey, mask, matched_as((255, 0, 0)), grid_grey, grid_mask, TransferParameters("regression", "keep", False)
+    rgb, clipped = transfer(*given)
+    assert 0 < clipped <= mask.sum()
+    assert np.abs(lightness_of(rgb) - gray_to_lightness(grey.astype(np.float64)))[mask].max() < 0.4
+    assert transfer(grey.clip(0.1), mask, matched_as((120, 110, 100)), *given[3:])[1] == 0
+
+
+@pytest.mark.parametrize("smoother", SMOOTHERS)
+@pytest.mark.parametrize("shape", [(1, 1), (1, 9), (7, 1), (3, 200)])
+def test_boxes_of_any_shape(smoother, shape):
+    grey, mask = np.full(shape, 0.5, np.float32), np.ones(shape, bool)
+    grid_mask = to_grid(mask, GRID) > 0.5
+    given = grey, mask, matched_as(BROWN), to_grid(grey, GRID), grid_mask
+    rgb, _ = transfer(*given, TransferParameters(smoother, "keep", True))
+    assert rgb.shape == (*shape, 3) and np.abs(lightness_of(rgb) - gray_to_lightness(np.array([0.5]))).max() < 0.4
+    assert (rgb[..., 0] > rgb[..., 2]).all()
+
+
+def test_body_that_the_grid_does_not_show():
+    """A body so thin that no pixel of the grid is half covered: no evidence, so grey, and no NaN."""
+    grey, mask, matched, grid_grey, grid_mask = arguments()
+    parameters = TransferParameters("regression", "keep", False)
+    rgb, clipped = transfer(grey, mask, matched, grid_grey, np.zeros_like(grid_mask), parameters)
+    assert clipped == 0 and np.ptp(rgb, axis=-1).max() == 0
