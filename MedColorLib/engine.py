@@ -104,6 +104,11 @@ class Engine:
             )
         return self._features[index]
 
+    def painted_in_box(self, k: int) -> np.ndarray:
+        """(rows, cols) bool: where slice k is coloured, cut to the body's box."""
+        j0, j1, i0, i1 = self.prepared.body.boxes[k]
+        return self.prepared.body.painted(k)[j0:j1, i0:i1]
+
     def forget_features(self) -> None:
         """Make the references' features anew at the next match, for example after `layers` has been changed."""
         self._features.clear()

@@ -48,16 +48,15 @@ class Painter:
         sums = evidence(lab, grid_grey, grid_mask, self._parameters, trust)
         self._changes[k] = lightness_change(lab, grid_grey, self._parameters)
         for ready, total in self._average.push(k, sums):
-            grey, cover = self._engine.slice_in_box(ready)
-            mask = cover > 0.5
+            grey, mask = self._engine.slice_in_box(ready)[0], self._engine.painted_in_box(ready)
             colored = transfer_evidence(grey, mask, total, self._parameters, self._changes.pop(ready))
             self._put(ready, *to_picture(colored, mask))
 
     def _color_alone(self, k, grid_grey, grid_mask, lab) -> None:
         from .transfer import transfer
 
-        grey, cover = self._engine.slice_in_box(k)
-        self._put(k, *transfer(grey, cover > 0.5, lab, grid_grey, grid_mask, self._parameters))
+        grey, mask = self._engine.slice_in_box(k)[0], self._engine.painted_in_box(k)
+        self._put(k, *transfer(grey, mask, lab, grid_grey, grid_mask, self._parameters))
 
     def _put(self, k: int, rgb: np.ndarray, clipped: int) -> None:
         self.clipped += clipped

@@ -27,7 +27,7 @@ log = logging.getLogger("MedColor")
 
 def make_plan(volume: Volume, references: Sequence, settings: Settings | None = None) -> Plan:
     """What `colorize` would do with these arguments, and what it would leave out; takes seconds at most."""
-    return prepare(volume, references, settings or Settings()).plan
+    return prepare(volume, references, settings or Settings(), find_device=False).plan
 
 
 def colorize(

@@ -82,8 +82,11 @@ def _pictures(path: Path) -> list[Path]:
     return found
 
 
-def prepare(volume: Volume, references: Sequence, settings: Settings) -> Prepared:
+def prepare(volume: Volume, references: Sequence, settings: Settings, find_device: bool = True) -> Prepared:
     """Decide everything; see `Prepared`.
+
+    Args:
+        find_device: False leaves "auto" undecided, which needs no torch: enough for a plan.
 
     Raises:
         InputError, SettingsError, WeightsError, DeviceError: with the remedy in the message.
@@ -94,7 +97,7 @@ def prepare(volume: Volume, references: Sequence, settings: Settings) -> Prepare
         raise SettingsError(
             "reconstruction lbfgs inverts a network; the embedded features have none: use warp or vgg19"
         )
-    device = choose_device(settings.device)
+    device = choose_device(settings.device) if find_device else settings.device
     prepared_references = load_references(references)
     order = slice_order(volume.ijk_to_ras, settings.plane)
     view = order.view(volume.array)
