@@ -41,17 +41,22 @@ class Body:
         _, rows, cols = self.shape
         return cv2.resize(self.coarse[k].astype(np.float32), (cols, rows), interpolation=cv2.INTER_LINEAR)
 
-    def painted(self, k: int) -> np.ndarray:
-        """(j, i) bool: where slice k is coloured: the body of this slice and its neighbours and a rim of one coarse pixel.
+    def painted(self, k: int, values: np.ndarray) -> np.ndarray:
+        """(j, i) bool: where slice k is coloured: its body, and tissue within a coarse pixel or a slice of it.
 
-        Skin fades into air over a voxel or two; cut at its middle, it would show the steps of the mask when rendered.
+        The outline is found on a coarse raster; rendered as it is, skin would show its steps. Voxels around it that are
+        above the threshold belong to the body, too.
+
+        Args:
+            values: (j, i) of the slice.
         """
         import cv2
 
         near = self.coarse[max(k - 1, 0) : k + 2].any(axis=0).astype(np.uint8)
         wide = cv2.dilate(near, np.ones((3, 3), np.uint8)).astype(np.float32)
         _, rows, cols = self.shape
-        return cv2.resize(wide, (cols, rows), interpolation=cv2.INTER_LINEAR) > 0.5
+        rim = cv2.resize(wide, (cols, rows), interpolation=cv2.INTER_LINEAR) > 0.5
+        return (self.plane(k) > 0.5) | (rim & (values > self.threshold))
 
 
 def otsu_threshold(values: np.ndarray, bins: int = 512) -> float:

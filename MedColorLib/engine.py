@@ -107,7 +107,7 @@ class Engine:
     def painted_in_box(self, k: int) -> np.ndarray:
         """(rows, cols) bool: where slice k is coloured, cut to the body's box."""
         j0, j1, i0, i1 = self.prepared.body.boxes[k]
-        return self.prepared.body.painted(k)[j0:j1, i0:i1]
+        return self.prepared.body.painted(k, self.prepared.view[k])[j0:j1, i0:i1]
 
     def forget_features(self) -> None:
         """Make the references' features anew at the next match, for example after `layers` has been changed."""

@@ -77,7 +77,7 @@ class TestColors:
 
     def test_luminance_is_the_scans(self, ct, colored):
         prepared = prepare(part(ct), [ct.reference], DRAFT)
-        window, body = prepared.window, np.stack([prepared.body.plane(k) > 0.5 for k in range(5)])
+        window, body = prepared.window, np.stack([prepared.body.painted(k, prepared.view[k]) for k in range(5)])
         grey = np.clip((ct.volume.array[MIDDLE].astype(float) - window.low) / (window.high - window.low), 0, 1)
         error = np.abs(srgb_to_lab(colored.rgb)[..., 0] - gray_to_lightness(grey))
         assert error[body].max() < 0.4 and not colored.rgb[~body].any()

@@ -166,6 +166,36 @@ class TestSlices:
             assert np.ptp(np.diff(sample)) <= 1 and sample[0] - 10 <= count / 7 and 9 + count - sample[-1] <= count / 7
 
 
+class TestRegion:
+    @pytest.mark.parametrize("smoother", ["regression", "guided"])
+    def test_colors_inside_are_those_of_the_whole_and_the_rest_is_black(self, ct, smoother):
+        whole = colorize(middle(ct), [ct.reference], settings(smoother=smoother))
+        region = ((0, 5), (20, 45), (10, 99))
+        part = colorize(middle(ct), [ct.reference], settings(smoother=smoother, region=region))
+        inside = np.zeros(part.rgb.shape[:3], bool)
+        inside[:, 20:45, 10:] = True
+        np.testing.assert_array_equal(part.rgb[inside], whole.rgb[inside])
+        assert part.rgb[inside].any() and not part.rgb[~inside].any()
+
+    def test_slices_outside_are_not_matched(self, ct, extracted):
+        region = ((1, 3), (0, 64), (0, 56))
+        plan = make_plan(middle(ct), [ct.reference], settings(region=region))
+        assert plan.slices == (1, 2) and entry(plan, "voxels outside the region of interest")
+        result = colorize(middle(ct), [ct.reference], settings(region=region, batch=8))
+        assert extracted() == [1, 2] and result.rgb.any((1, 2, 3)).tolist() == [False, True, True, False, False]
+
+    def test_no_entry_without_a_region(self, ct):
+        assert entry(make_plan(middle(ct), [ct.reference], settings()), "voxels outside the region of interest") is None
+
+    def test_with_a_range_of_slices_both_hold(self, ct):
+        region = ((1, 4), (0, 64), (0, 56))
+        assert make_plan(middle(ct), [ct.reference], settings(region=region, slices=(2, 5))).slices == (2, 3)
+
+    def test_outside_the_volume(self, ct):
+        with pytest.raises(SettingsError, match=r"region .* lies outside the volume of \(5, 64, 56\) voxels"):
+            make_plan(middle(ct), [ct.reference], settings(region=((0, 5), (64, 70), (0, 5))))
+
+
 class TestRepeats:
     def repeating(self, ct):
         return scan(ct.volume.array[[3, 4, 4, 4, 5, 4, 4]])

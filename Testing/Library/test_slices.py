@@ -54,6 +54,17 @@ def test_every_orientation_is_seen_alike_and_put_back(axes, signs):
     np.testing.assert_array_equal(out, lying(colors, axes, signs))
 
 
+@pytest.mark.parametrize(("axes", "signs"), ORIENTATIONS[::5])
+@pytest.mark.parametrize("region", [((0, 1), (1, 3), (2, 5)), ((0, 9), (0, 9), (1, 2)), ((1, 3), (2, 9), (0, 2))])
+def test_ranges_of_the_array_are_found_in_the_view(axes, signs, region):
+    array = lying(STANDING, axes, signs)
+    order = slice_order(geometry(axes, signs))
+    in_array, in_view = np.zeros(array.shape, bool), np.zeros(STANDING.shape, bool)
+    in_array[tuple(slice(*r) for r in region)] = True
+    in_view[tuple(slice(*r) for r in order.ranges(region, array.shape))] = True
+    np.testing.assert_array_equal(order.view(in_array), in_view)
+
+
 @pytest.mark.parametrize(("axes", "signs"), ORIENTATIONS[::7])
 def test_oblique_and_sheared_volumes_take_the_nearest_axes(axes, signs):
     matrix = geometry(axes, signs, spacing=(0.01, 50, 1))
