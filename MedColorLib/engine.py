@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from .assignment import assign
 from .features import CONTEXT_WEIGHTS
 from .grid import Grid, to_grid
 from .intensity import apply_curve, apply_window, spreading_curve
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("MedColor")
 
+DESCRIPTOR_BATCH = 16
 MANY_REFERENCES = 7  # more are taken for one series, whose pictures all lie the same way
 
 
@@ -206,18 +208,24 @@ class Engine:
         log.info("contrast for %s: %s", reference.name, reference.contrast.describe())
 
     def _choose_references(self) -> dict[int, int]:
-        """Slice -> index of its reference: the only one, or the one whose descriptor is nearest (cosine)."""
+        """Slice -> index of its reference: the only one, or by likeness (cosine of descriptors) and order."""
         slices = self.prepared.plan.slices
+        self.assigned = "freely"
         if len(self.references) == 1:
             return dict.fromkeys(slices, 0)
+        with self.run.timed("recommendation"):
+            library = self._descriptors([r.grey for r in self.references])
+            queries = self._descriptors([self.slice_on_grid(k)[0] for k in slices])
+            choice, self.assigned = assign(queries @ library.T)
+        return dict(zip(slices, choice.tolist()))
+
+    def _descriptors(self, greys: Sequence[np.ndarray]) -> np.ndarray:
+        """(n, D) unit descriptors; in batches, since fc6 is read from its file once per call."""
         import torch
 
-        with self.run.timed("recommendation"):
-            planes = [torch.from_numpy(r.grey)[None, None].to(self.device) for r in self.references]
-            library = torch.cat([self.extractor.descriptor(plane) for plane in planes]).float()
-            library = library / library.norm(dim=1, keepdim=True).clamp_min(1e-12)
-            choice = {}
-            for k in slices:
-                plane = torch.from_numpy(self.slice_on_grid(k)[0])[None, None].to(self.device)
-                choice[k] = int((library @ self.extractor.descriptor(plane).float()[0]).argmax())
-        return choice
+        rows = []
+        for first in range(0, len(greys), DESCRIPTOR_BATCH):
+            planes = torch.from_numpy(np.stack(greys[first : first + DESCRIPTOR_BATCH]))[:, None].to(self.device)
+            rows.append(self.extractor.descriptor(planes).float().cpu().numpy())
+        table = np.concatenate(rows)
+        return table / np.maximum(np.linalg.norm(table, axis=1, keepdims=True), 1e-12)

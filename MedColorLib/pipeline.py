@@ -130,6 +130,7 @@ def _report(prepared: Prepared, engine: Engine, run: Run, painter: Painter) -> d
             for r in prepared.references
         ],
         "reference_of_slice": {str(k): prepared.references[i].name for k, i in engine.choice.items()},
+        "references_assigned": engine.assigned,
         "reference_lies": {engine.references[i].name: engine.references[i].way for i in used},
         "contrast": {engine.references[i].name: engine.references[i].contrast.describe() for i in used},
         "settings": prepared.settings.to_dict(),

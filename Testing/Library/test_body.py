@@ -117,6 +117,19 @@ def test_boxes_hold_the_whole_mask_when_the_outline_is_found_at_reduced_size(rng
         assert np.abs(np.array([j0, j1, i0, i1]) - (123, 601, 77, 434)).max() <= 4
 
 
+def test_painted_is_the_body_and_the_tissue_that_its_coarse_outline_missed():
+    rows, cols = np.mgrid[-1:1:700j, -1:1:700j]
+    truth = rows**2 + 1.3 * cols**2 < 0.5
+    values = np.where(truth, 100, 0)[None].astype(np.float32)
+    values[0, 300:400, 5:15] = 100  # something beside it
+    values[0, 350, 350] = np.nan
+    body = find_body(values)
+    painted, coarse = body.painted(0, values[0]), body.plane(0) > 0.5
+    assert (painted | ~coarse).all() and not painted[:, :20].any()
+    assert (painted != truth).sum() < (coarse != truth).sum()
+    assert (values[0][painted & ~coarse] > body.threshold).all()
+
+
 def test_two_arms_beside_the_trunk_are_kept():
     values = np.zeros((1, 60, 120))
     values[0, 10:50, 35:85] = values[0, 20:40, 5:20] = values[0, 20:40, 100:115] = 100
