@@ -127,16 +127,17 @@ class _Index:
         from safetensors.numpy import save_file
 
         keys = sorted(self.descriptors)
-        self._path.parent.mkdir(parents=True, exist_ok=True)
         temporary = self._path.with_suffix(f".{os.getpid()}.part")
         tensors = {"descriptors": np.stack([self.descriptors[k] for k in keys]).astype(np.float16)}
         try:
+            self._path.parent.mkdir(parents=True, exist_ok=True)
             save_file(tensors, str(temporary), {"keys": json.dumps(keys), "files": json.dumps(self._files)})
             os.replace(temporary, self._path)
         except OSError as error:  # a cache that cannot be written costs time at the next call, not the answer
             log.warning("library index is not kept: %s", error.strerror)
         finally:
-            temporary.unlink(missing_ok=True)
+            if temporary.exists():
+                temporary.unlink()
 
     def _load(self) -> None:
         from safetensors import SafetensorError, safe_open

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from ..color.lab import lightness_to_gray, srgb_to_lab
-from ..grid import continue_outwards, choose_grid, to_grid
+from ..grid import choose_grid, continue_outwards, to_grid
 from ..reference import Reference, prepare_reference, read_picture
 from ..volume import Volume
 
@@ -96,21 +96,24 @@ def on_raster(reference: Reference) -> tuple[np.ndarray, np.ndarray]:
     return continue_outwards(to_grid(lab, grid), mask).astype(np.float64), mask
 
 
-def warp_field(seed: int = 0, size: int = SIZE_PX) -> np.ndarray:
-    """(size, size, 2) row and column to read from: mirrored left-right, then a smooth seeded shift of up to 3 %."""
+def warp_field(seed: int = 0, mirror: bool = True, size: int = SIZE_PX) -> np.ndarray:
+    """(size, size, 2) row and column to read from: mirrored left-right, and a smooth seeded shift.
+
+    Bicubic between 4 x 4 control points of up to 3 % of the side either way.
+    """
     import cv2
 
     control = np.random.default_rng(seed).uniform(-1, 1, (2, 4, 4)) * WARP_FRACTION * size
     shift = [cv2.resize(plane, (size, size), interpolation=cv2.INTER_CUBIC) for plane in control]
     rows, cols = np.mgrid[:size, :size].astype(np.float64)
-    return np.stack([rows + shift[0], (size - 1 - cols) + shift[1]], -1)
+    return np.stack([rows + shift[0], (size - 1 - cols if mirror else cols) + shift[1]], -1)
 
 
-def make_pair(section: Section, remap: str, seed: int = 0) -> Pair:
+def make_pair(section: Section, remap: str, seed: int = 0, mirror: bool = True) -> Pair:
     """Mirror, warp and remap a section."""
     import cv2
 
-    source = warp_field(seed)
+    source = warp_field(seed, mirror)
     where = source[..., 1].astype(np.float32), source[..., 0].astype(np.float32)
     truth = cv2.remap(section.lab, *where, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     mask = cv2.remap(section.mask.astype(np.float32), *where, cv2.INTER_LINEAR, borderValue=0) > 0.5

@@ -9,10 +9,6 @@ import numpy as np
 from ..color.difference import ciede2000
 from ..color.lab import gray_to_lightness, lightness_to_gray
 from ..intensity import apply_curve, histogram_match_curve
-from ..parameters import Settings
-from ..pipeline import _Engine, _Run
-from ..prepare import prepare
-from ..transfer import TransferParameters, transfer_lab
 from .pairs import Pair
 
 _PATCH = 16
@@ -65,27 +61,3 @@ def _looked_up(pair: Pair) -> np.ndarray:
     known = np.flatnonzero(counts)
     planes = [np.bincount(level, inside[:, c], minlength=101)[known] / counts[known] for c in (1, 2)]
     return np.stack([np.interp(lightness, known, plane) for plane in planes], -1)
-
-
-class Matched:
-    """A pair after matching, from which every way of transferring the colour can be read."""
-
-    def __init__(self, pair: Pair, settings: Settings, stop_layer: int | None = None, context: bool | None = None) -> None:
-        prepared = prepare(pair.volume, [pair.section.rgb], settings)
-        self.pair, self.prepared, self.run = pair, prepared, _Run(None, None)
-        self.engine = _Engine(prepared, self.run)
-        if stop_layer is not None:
-            self.engine.stop_layer, self.engine.layers = stop_layer, tuple(range(5, stop_layer - 1, -1))
-        if context is not None:
-            self.engine.uses_context = context
-        self.greys, self.masks, self.lab = self.engine.match([0], 0)
-
-    def chroma(self, smoother: str, gamma: bool) -> np.ndarray:
-        """a*, b* (256, 256, 2) before they are drawn into the gamut."""
-        parameters = TransferParameters(smoother, "keep", gamma, self.engine.guide_curve)
-        grey, cover = self.engine.slice_in_box(0)
-        lab = transfer_lab(grey, cover > 0.5, self.lab[0], self.greys[0], self.masks[0], parameters)
-        out = np.zeros((*self.pair.mask.shape, 2))
-        j0, j1, i0, i1 = self.prepared.body.boxes[0]
-        out[j0:j1, i0:i1] = lab[..., 1:]
-        return out

@@ -113,6 +113,17 @@ class TestShapesAndMasks:
         assert found.field.min() >= 0 and found.field.max() < 80 * 48
         assert found.reverse.min() >= 0 and found.reverse.max() < 48 * 64
 
+    @pytest.mark.parametrize("exact", [True, False])
+    def test_target_cut_out_of_a_larger_reference(self, exact, request):
+        if not exact:
+            request.getfixturevalue("no_exact_below_layer_5")
+        reference = maps(1, (96, 112), stop=2)
+        cut = {k: v[:, :, 16 // side(k) : 64 // side(k), 32 // side(k) : 96 // side(k)] for k, v in reference.items()}
+        found = match(cut, reference, 2, keep_reverse=True)
+        rows, cols = torch.meshgrid(torch.arange(24) + 8, torch.arange(32) + 16, indexing="ij")
+        torch.testing.assert_close(found.field[0], rows * 56 + cols)
+        torch.testing.assert_close(found.reverse[0, 8:32, 16:48], identity(1, 24, 32)[0])
+
     @pytest.mark.parametrize("stop", [5, 3, 1])
     def test_matches_lie_inside_the_reference(self, stop):
         reference_mask = torch.zeros(SHAPE, dtype=torch.bool)

@@ -55,6 +55,20 @@ def test_padding_outside_the_field_of_view_is_air(ct, padding):
     assert dice(find_body(values), ct.inside) > 0.98
 
 
+@pytest.mark.parametrize("padding", [-2000, -32768, np.nan])
+def test_padding_may_be_larger_than_the_picture(ct, padding):
+    space = ((0, 0), (40, 40), (40, 40))
+    values = np.pad(ct.volume.array.astype(np.float32), space, constant_values=padding)
+    assert dice(find_body(values), np.pad(ct.inside, space)) > 0.98
+
+
+@pytest.mark.parametrize("air", [np.nan, -np.inf, -32768])
+def test_where_all_air_is_missing(ct, air):
+    """Without a measured value of air, Otsu would separate bone from soft tissue."""
+    values = np.where(ct.labels > 0, ct.volume.array.astype(np.float32), air)
+    assert dice(find_body(values), ct.inside) > 0.98
+
+
 @pytest.mark.parametrize("air", [np.nan, -np.inf, -32768, 0])
 def test_a_cut_out_body_stands_in_nothing(ct, air):
     values = ct.volume.array.astype(np.float32) + (2000 if air == 0 else 0)

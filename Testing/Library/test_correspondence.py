@@ -176,6 +176,11 @@ class TestVote:
         torch.testing.assert_close(to_full_grid(field, layer, (48, 64)), identity(2, 48, 64).contiguous())
         torch.testing.assert_close(matched_colors(field, layer, reference), reference.expand(2, -1, -1, -1))
 
+    def test_patches_of_five_by_five_vote(self):
+        reference, field = torch.rand(1, 3, 16, 16), random_field(1, (8, 8), (8, 8))
+        full = to_full_grid(field, 2, (16, 16))
+        torch.testing.assert_close(matched_colors(field, 2, reference), average_vote(reference, full, radius=2))
+
 
 def patchmatch_search(target, reference, field, mask, radius):
     generator = torch.Generator().manual_seed(7)
@@ -260,6 +265,13 @@ class TestWindowed:
         field, _ = windowed.refine(target, reference, identity(1, 40, 44), everywhere(40, 44), 1)
         rows, cols = torch.meshgrid(torch.arange(5, 39), torch.arange(1, 39), indexing="ij")
         assert (field[0, 5:39, 1:39] == (rows - 3) * 44 + cols + 4).float().mean() > 0.97
+
+    def test_a_block_that_starts_astray_is_led_back_by_its_neighbours(self):
+        image = features(1, 40, 48, channels=12)
+        start = identity(1, 40, 48).clone()
+        start[0, 16:24, 8:16] = start[0, 16:24, 40:48]
+        field, _ = windowed.refine(image, image, start, everywhere(40, 48), 1)
+        torch.testing.assert_close(field, identity(1, 40, 48).contiguous())
 
     def test_slices_together_as_alone(self):
         target, reference = features(3, 21, 19, seed=1), features(1, 26, 30, seed=2)

@@ -98,7 +98,7 @@ class TestWeights:
     def test_pixels_without_weight_do_not_count(self, rng):
         guide, weight = rng.uniform(0, 255, (40, 40)), (rng.random((40, 40)) < 0.5).astype(np.float32)
         source = rng.normal(0, 20, (40, 40, 2))
-        poisoned = np.where(weight[..., None] > 0, source, 1e9)
+        poisoned = np.where(weight[..., None] > 0, source, np.nan)
         np.testing.assert_array_equal(fit(source, guide, weight, DEFAULT), fit(poisoned, guide, weight, DEFAULT))
 
     def test_a_region_without_weight_takes_the_colours_of_the_rest(self):

@@ -1,0 +1,185 @@
+"""Work-precision diagrams: error on one axis, run time on the other, both logarithmic. Needs matplotlib."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from io import BytesIO
+
+from .suite_smoothing import IMPLEMENTATIONS, SCENES
+from .summary import own_variant
+from .tables import Suite, Table
+
+# Okabe and Ito's palette: told apart by everybody
+_COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+_MARKERS = "osD^vPX"
+_PANELS = ("as it is", "strong", "inverted")
+_FLOOR = 1e-6  # where an error of zero is drawn on a logarithmic axis
+
+
+def draw_all(suites: dict[str, Suite]) -> dict[str, bytes]:
+    """PNG by name, for the suites that were run."""
+    plots: dict[str, tuple[str, Callable[[Suite], bytes]]] = {
+        "pipeline": ("pipeline", _pipeline),
+        "smoothing": ("smoothing", _smoothing),
+        "rounding": ("smoothing", _rounding),
+        "correspondence": ("correspondence", _correspondence),
+    }
+    return {name: draw(suites[suite]) for name, (suite, draw) in plots.items() if suite in suites}
+
+
+def _figure(columns: int, width: float = 4.6):
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width * columns, 4.4), dpi=110, layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(1, columns, squeeze=False, sharey=True)[0]
+    for axis in axes:
+        axis.set(xscale="log", yscale="log")
+        axis.grid(True, which="both", alpha=0.25)
+    return figure, axes
+
+
+def _finished(figure, axes, plain_errors: bool = True) -> bytes:
+    """Legend, ticks as plain numbers (1, 2, 5), and the PNG."""
+    from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
+
+    axes[0].legend(fontsize=7)
+    for axis in axes:
+        axis.margins(x=0.12)
+        for side in (axis.xaxis, axis.yaxis) if plain_errors else (axis.xaxis,):
+            side.set_major_locator(LogLocator(subs=(1, 2, 5) if side is axis.xaxis else (1, 1.5, 2, 3, 5, 7), numticks=30))
+            side.set_major_formatter(FormatStrFormatter("%g"))
+            side.set_minor_formatter(NullFormatter())
+        axis.tick_params(labelsize=8)
+    return _png(figure)
+
+
+def _png(figure) -> bytes:
+    stream = BytesIO()
+    figure.savefig(stream, format="png")
+    return stream.getvalue()
+
+
+def _bars(row: dict) -> list[list[float]]:
+    """Horizontal error bar of a row: median to the quartiles."""
+    return [[row["seconds"] - row["seconds_low"]], [row["seconds_high"] - row["seconds"]]]
+
+
+def _pipeline(suite: Suite) -> bytes:
+    errors = suite.tables["errors"]
+    section = errors.rows[0][0]
+    figure, axes = _figure(len(_PANELS))
+    for axis, remap in zip(axes, _PANELS):
+        for number, features in enumerate(("vgg19", "embedded")):
+            _pipeline_points(axis, errors, {"section": section, "remap": remap, "features": features}, number)
+        for line, name in zip(("--", "-.", ":"), ("look-up table", "same position", "mean colour")):
+            row = errors.where(section=section, remap=remap, method=name)[0]
+            axis.axhline(row["mean"], linestyle=line, color="0.4", linewidth=1, label=name)
+        axis.set(
+            title=f"{section}, luminance {remap}", xlabel="seconds per slice of 256 x 256", ylabel="mean CIEDE2000"
+        )
+    axes[0].plot([], [], "o", color="0.5", markersize=3, label="other smoothers, gamma")
+    return _finished(figure, axes)
+
+
+def _pipeline_points(axis, errors: Table, keys: dict, number: int) -> None:
+    label = keys["features"]
+    for row in errors.where(**keys):
+        if row["seconds"] is None:
+            continue
+        own = own_variant(row["method"].split(",")[0])
+        is_own = row["smoother"] == own["smoother"] and row["gamma"] == own["gamma"]
+        style = {
+            "color": _COLORS[number],
+            "marker": _MARKERS[number],
+            "linestyle": "none",
+            "markersize": 7 if is_own else 3,
+        }
+        axis.errorbar(row["seconds"], row["mean"], xerr=_bars(row), label=label if is_own else None, **style)
+        if is_own:
+            label = None
+            axis.annotate(
+                row["method"].removeprefix("balanced, "),
+                (row["seconds"], row["mean"]),
+                fontsize=7,
+                xytext=(4, 4),
+                textcoords="offset points",
+            )
+
+
+def _smoothing(suite: Suite) -> bytes:
+    table = suite.tables["fgs"]
+    figure, axes = _figure(len(SCENES))
+    for axis, (scene, (lam, sigma)) in zip(axes, SCENES.items()):
+        for number, method in enumerate(IMPLEMENTATIONS):
+            rows = [row for row in table.where(scene=scene, method=method) if row["seconds"]]
+            name = "OpenCV" if method == "opencv" else f"MedColor {method}"
+            points = [row["seconds"] for row in rows], [row["rms_to_wls"] for row in rows]
+            axis.plot(*points, marker=_MARKERS[number], color=_COLORS[number], label=f"FGS, {name}")
+            for row in rows:
+                axis.annotate(
+                    row["iterations"],
+                    (row["seconds"], row["rms_to_wls"]),
+                    fontsize=6,
+                    xytext=(3, 3),
+                    textcoords="offset points",
+                )
+        for number, method in enumerate(
+            ("guided", "domain-transform", "wls", "regression"), start=len(IMPLEMENTATIONS)
+        ):
+            for row in table.where(scene=scene, method=method):
+                axis.plot(row["seconds"], row["rms_to_wls"], _MARKERS[number], color=_COLORS[number], label=method)
+        exact = table.where(scene=scene, method="exact WLS")[0]
+        axis.axvline(exact["seconds"], color="0.4", linestyle="--", linewidth=1, label="exact WLS, sparse direct")
+        axis.set(
+            title=f"lambda {lam:g}, sigma {sigma:g}",
+            xlabel="seconds, 256 x 256 x 2",
+            ylabel="RMS distance to exact WLS / deviation",
+        )
+    return _finished(figure, axes)
+
+
+def _rounding(suite: Suite) -> bytes:
+    table = suite.tables["stiff"]
+    figure, (axis,) = _figure(1, 6.0)
+    for number, method in enumerate(IMPLEMENTATIONS):
+        rows = table.where(method=method)
+        finite = [row for row in rows if not isinstance(row["max_to_separable"], str)]
+        values = [max(row["max_to_separable"], 1e-17) for row in finite]
+        name = "OpenCV" if method == "opencv" else f"MedColor {method}"
+        axis.plot([r["lambda"] for r in finite], values, marker=_MARKERS[number], color=_COLORS[number], label=name)
+        lost = [row["lambda"] for row in rows if isinstance(row["max_to_separable"], str)]
+        if lost:
+            axis.plot(lost, [1.0] * len(lost), "x", color=_COLORS[number], markersize=9, label=f"{name}: not a number")
+    axis.axhline(1e-5, color="0.4", linestyle="--", linewidth=1, label="bound 1e-5")
+    axis.set(
+        xlabel="lambda", ylabel="largest error / largest source value", title="FGS: rounding against extended precision"
+    )
+    axis.legend(fontsize=7)
+    return _png(figure)
+
+
+def _correspondence(suite: Suite) -> bytes:
+    table = suite.tables["fields"]
+    first = table.where()[0]
+    keys = {name: first[name] for name in ("section", "remap", "features")}
+    layers = sorted({row["layer"] for row in table.where(**keys)}, reverse=True)
+    figure, axes = _figure(len(layers))
+    for axis, layer in zip(axes, layers):
+        for number, start in enumerate(("coarser layer", "chance")):
+            rows = [r for r in table.where(**keys, layer=layer, method="patchmatch", start=start) if r["iterations"]]
+            points = [r["seconds"] for r in rows], [max(r["energy_ratio"] - 1, _FLOOR) for r in rows]
+            axis.plot(*points, marker=_MARKERS[number], color=_COLORS[number], label=f"PatchMatch from {start}")
+            for row, x, y in zip(rows, *points):
+                axis.annotate(row["iterations"], (x, y), fontsize=6, xytext=(3, 3), textcoords="offset points")
+        for number, method in enumerate(("windowed", "exact, float32", "exact, bfloat16"), start=2):
+            for row in table.where(**keys, layer=layer, method=method):
+                value = max(row["energy_ratio"] - 1, _FLOOR)
+                axis.plot(row["seconds"], value, _MARKERS[number], color=_COLORS[number], label=method)
+        axis.set(
+            title=f"{keys['section']}, {keys['features']}, layer {layer}",
+            xlabel="seconds",
+            ylabel="energy / exhaustive - 1",
+        )
+    return _finished(figure, axes, plain_errors=False)

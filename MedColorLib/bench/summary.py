@@ -1,0 +1,70 @@
+"""From the tables to what a reader wants first: one line per method, and whether the targets are met."""
+
+from __future__ import annotations
+
+from ..parameters import PRESETS
+from .pairs import REMAPS
+from .tables import Suite, Table
+
+BASELINES = ("grey", "mean colour", "same position", "look-up table", "perfect match")
+SUMMARY_COLUMNS = ("section", "features", "method", "smoother", "gamma", *REMAPS, "average", "seconds")
+TARGET_COLUMNS = ("target", "value", "limit", "met")
+
+# (features, method, remap, largest mean CIEDE2000 on the thorax)
+_ERROR_TARGETS = (
+    ("vgg19", "full", "as it is", 4.0),
+    ("vgg19", "balanced", "as it is", 4.3),
+    ("vgg19", "balanced", "strong", 5.2),
+    ("vgg19", "balanced", "inverted", 6.5),
+    ("embedded", "balanced", "as it is", 5.5),
+    ("embedded", "balanced", "strong", 7.0),
+)
+_SECONDS_TARGET = 3.0
+
+
+def own_variant(preset: str) -> dict:
+    """Columns of the errors table that tell a preset's own smoother and gamma."""
+    return {"smoother": PRESETS[preset].smoother, "gamma": PRESETS[preset].gamma}
+
+
+def summarise(errors: Table) -> Table:
+    """Mean CIEDE2000 by remap: baselines and every method with its preset's smoother and gamma, a line each."""
+    table = Table(SUMMARY_COLUMNS)
+    lines: dict[tuple, dict] = {}
+    for row in errors.where():
+        if row["method"] not in BASELINES and not _is_own(row):
+            continue
+        key = tuple(row[name] for name in SUMMARY_COLUMNS[:5])
+        line = lines.setdefault(key, {"seconds": row["seconds"]})
+        line[row["remap"]] = row["mean"]
+    for key, line in lines.items():
+        values = [line.get(remap) for remap in REMAPS]
+        average = sum(values) / len(values) if None not in values else None
+        columns = dict(zip(SUMMARY_COLUMNS[:5], key))
+        table.add(**columns, **dict(zip(REMAPS, values)), average=average, seconds=line["seconds"])
+    return table
+
+
+def _is_own(row: dict) -> bool:
+    preset = row["method"].split(",")[0]
+    own = own_variant(preset)
+    return row["smoother"] == own["smoother"] and row["gamma"] == own["gamma"]
+
+
+def targets(suite: Suite) -> Table:
+    """The project's targets on the thorax; not measured where the section or the weights are not here."""
+    table = Table(TARGET_COLUMNS)
+    errors = suite.tables["errors"]
+    for features, method, remap, limit in _ERROR_TARGETS:
+        found = errors.where(section="thorax", remap=remap, features=features, method=method, **own_variant(method))
+        value = found[0]["mean"] if found else None
+        name = f"{features} {method}, thorax {remap}: mean CIEDE2000"
+        table.add(target=name, value=value, limit=limit, met=None if value is None else value <= limit)
+    for features in ("vgg19", "embedded"):
+        found = suite.tables["calls"].where(features=features, method="balanced")
+        value = found[0]["seconds"] if found else None
+        name = f"{features} balanced, one slice of 256 x 256 by colorize(): seconds"
+        table.add(
+            target=name, value=value, limit=_SECONDS_TARGET, met=None if value is None else value <= _SECONDS_TARGET
+        )
+    return table
