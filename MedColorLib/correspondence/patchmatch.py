@@ -18,7 +18,7 @@ _CHUNK_BYTES = 64 << 20
 def patch_similarity(target: Tensor, reference: Tensor, field: Tensor, radius: int) -> Tensor:
     """Mean inner product of the patches that `field` joins: (N, h, w). Positions off either map count as 0."""
     count, channels, height, width = target.shape
-    rows2, cols2 = reference.shape[2:]
+    cols2 = reference.shape[3]
     here = torch.nn.functional.pad(target, (radius,) * 4).permute(0, 2, 3, 1).contiguous()
     there = torch.nn.functional.pad(reference, (radius,) * 4).permute(0, 2, 3, 1).reshape(len(reference), -1, channels)
     stride = cols2 + 2 * radius

@@ -65,7 +65,7 @@ def _pass(target, reference, field, best, mask, radius, shift):
 
 def _search_windows(blocks, reference, mask, top, left, sides, radius):
     """Best position of the window, flat in the whole map, and its similarity: (blocks, BLOCK * BLOCK) each."""
-    channels, rows2, cols2 = reference.shape
+    channels, _, cols2 = reference.shape
     padded = pad(reference, (radius,) * 4).flatten(1).T.contiguous()
     stride = cols2 + 2 * radius
     halo_y, halo_x = sides[0] + 2 * radius, sides[1] + 2 * radius

@@ -198,6 +198,11 @@ class TestCurves:
         assert (np.diff(curve) > 1e-3).all() and curve.min() >= 0 and curve.max() <= 1
         np.testing.assert_array_equal(spreading_curve(grey, share=0), np.linspace(0, 1, 256))
 
+    def test_spreading_is_half_identity_and_half_midpoint_of_the_distribution(self):
+        curve = spreading_curve(np.repeat([51 / 255, 153 / 255], [30, 10]))
+        assert curve[51] == pytest.approx(0.5 * 0.2 + 0.5 * 15 / 40)
+        assert curve[153] == pytest.approx(0.5 * 0.6 + 0.5 * 35 / 40)
+
     def test_spreading_gives_room_to_frequent_levels(self, rng):
         curve = spreading_curve(np.clip(rng.normal(0.5, 0.01, 5000), 0, 1))
         assert apply_curve(np.float64(0.53), curve) - apply_curve(np.float64(0.47), curve) > 0.5

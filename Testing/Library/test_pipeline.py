@@ -13,14 +13,17 @@ import pytest
 import torch
 from scipy.ndimage import binary_erosion
 
-from MedColorLib import ColorVolume, Settings, Volume, colorize, vote
+from MedColorLib import ColorVolume, Settings, Volume, analogy, colorize, vote
 from MedColorLib.coherence import SliceAverage
 from MedColorLib.color.difference import ciede2000
-from MedColorLib.color.lab import gray_to_lightness, srgb_to_lab
+from MedColorLib.color.lab import gray_to_lightness, lightness_to_gray, srgb_to_lab
 from MedColorLib.errors import Cancelled, DeviceError, InputError, OutputError
+from MedColorLib.features import CONTEXT_WEIGHTS
 from MedColorLib.features.embedded import Embedded
+from MedColorLib.grid import choose_grid
 from MedColorLib.phantom import section
 from MedColorLib.prepare import load_references, prepare
+from MedColorLib.reference import on_grid
 from MedColorLib.report import write_report
 
 pytestmark = pytest.mark.usefixtures("small_raster")
@@ -377,6 +380,53 @@ def test_vgg19_on_a_real_slice(shared_data, shared_weights, monkeypatch):
     assert lab[bone, 0].mean() > 55 and 3 < np.hypot(lab[bone, 1], lab[bone, 2]).mean() < 30
     assert (rgb[..., 2] > rgb[..., 0] + 8).mean() < 1e-3
     assert not rgb[grey < 5].any() or rgb[grey < 5].max() < 12
+
+
+class TestWhatIsMatched:
+    """A scan of the reference's own section in inverted contrast: the right curve and context are known."""
+
+    def inverted(self, ct) -> Volume:
+        own = load_references([ct.reference])[0]
+        grey = 255 * lightness_to_gray(srgb_to_lab(own.rgb / 255)[..., 0])
+        array = np.pad(np.where(own.mask, 300 - grey, -1000), 20, constant_values=-1000)
+        return with_spacing(array[None].astype(np.float32), 1, 1, 1)
+
+    def run(self, volume, ct, monkeypatch, **changes):
+        """Luminance whose features were matched, and the context that joined them."""
+        luminance, contexts = [], []
+        extract, match = Embedded.extract, analogy.deep_image_analogy
+
+        def spied_extract(self, planes, layers):
+            luminance.append((tuple(layers), planes))
+            return extract(self, planes, layers)
+
+        def spied_match(*arguments, **options):
+            contexts.append(arguments[5] if len(arguments) > 5 else options.get("context"))
+            return match(*arguments, **options)
+
+        monkeypatch.setattr(Embedded, "extract", spied_extract)
+        monkeypatch.setattr(analogy, "deep_image_analogy", spied_match)
+        result = colorize(volume, [ct.reference], settings(**changes))
+        return result, luminance[-1][1][0, 0].numpy(), contexts[-1]
+
+    def test_scan_in_the_contrast_of_the_photograph(self, ct, monkeypatch):
+        grey, _, mask = on_grid(load_references([ct.reference])[0], choose_grid(64))
+        result, seen, context = self.run(self.inverted(ct), ct, monkeypatch)
+        inside = mask & (seen > 0)
+        assert np.corrcoef(seen[inside], grey[inside])[0, 1] > 0.9
+        assert "learned" in result.report["contrast"]["reference 1"]
+        assert (context.position_weight, context.luminance_weight) == CONTEXT_WEIGHTS["embedded"]
+        np.testing.assert_array_equal(context.target[0, 0].numpy(), seen)
+        np.testing.assert_allclose(context.reference[0, 0].numpy(), grey, atol=1e-6)
+
+    def test_grey_that_tells_nothing_does_not_join(self, ct, monkeypatch, rng):
+        noise = np.where(ct.inside[4:5], rng.uniform(100, 300, (1, 64, 56)), -1000).astype(np.float32)
+        result, _, context = self.run(with_spacing(noise, 1, 1, 1), ct, monkeypatch)
+        assert context.luminance_weight < 0.2 * CONTEXT_WEIGHTS["embedded"][1]
+        assert "histogram match" in result.report["contrast"]["reference 1"]
+
+    def test_full_is_the_paper_without_context(self, ct, monkeypatch):
+        assert self.run(part(ct, np.s_[4:5]), ct, monkeypatch, preset="full")[2] is None
 
 
 def test_extractor_sees_grey_of_the_grid_only(ct, monkeypatch):
