@@ -193,13 +193,10 @@ def _left_out(settings, preset, smoother, features, view, body, chosen, referenc
     if empty:
         entries.append(LeftOut("empty slices", "no body in them; they stay black", f"{empty} of {len(view)} slices"))
     if settings.region is not None:
-        entries.append(
-            LeftOut(
-                "voxels outside the region of interest", "not asked for; they stay black", "their smoothing and colour"
-            )
-        )
+        text = "not asked for; slices beyond are not matched, voxels beyond stay black"
+        entries.append(LeftOut("outside the region of interest", text, f"{len(body.slices) - len(chosen)} slices"))
     outside = len(body.slices) - len(chosen)
-    if outside:
+    if outside and settings.region is None:
         entries.append(LeftOut("slices outside the range", "not asked for; they stay black", f"{outside} slices"))
     entries.append(
         LeftOut(
@@ -243,7 +240,7 @@ def _left_out(settings, preset, smoother, features, view, body, chosen, referenc
                 "411 MB of weights" if features == "vgg19" else "one descriptor per slice",
             )
         )
-    if len(chosen) > 1:
+    if len(chosen) > 1 and len(references) == 1:
         entries.append(
             LeftOut(
                 "reference features for every slice",

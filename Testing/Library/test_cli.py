@@ -133,6 +133,15 @@ class TestColorize:
         assert not files()
 
 
+@pytest.fixture
+def interruptible():
+    """Ctrl-C raises KeyboardInterrupt, also where the tests were started in the background, which ignores it."""
+    former = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, former)
+
+
+@pytest.mark.usefixtures("interruptible")
 class TestInterruption:
     def test_ctrl_c_while_computing(self, files, monkeypatch, capfd):
         monkeypatch.setattr(vote, "matched_colors", lambda *_: signal.raise_signal(signal.SIGINT))

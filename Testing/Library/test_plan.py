@@ -180,12 +180,12 @@ class TestRegion:
     def test_slices_outside_are_not_matched(self, ct, extracted):
         region = ((1, 3), (0, 64), (0, 56))
         plan = make_plan(middle(ct), [ct.reference], settings(region=region))
-        assert plan.slices == (1, 2) and entry(plan, "voxels outside the region of interest")
+        assert plan.slices == (1, 2) and entry(plan, "outside the region of interest")
         result = colorize(middle(ct), [ct.reference], settings(region=region, batch=8))
         assert extracted() == [1, 2] and result.rgb.any((1, 2, 3)).tolist() == [False, True, True, False, False]
 
     def test_no_entry_without_a_region(self, ct):
-        assert entry(make_plan(middle(ct), [ct.reference], settings()), "voxels outside the region of interest") is None
+        assert entry(make_plan(middle(ct), [ct.reference], settings()), "outside the region of interest") is None
 
     def test_with_a_range_of_slices_both_hold(self, ct):
         region = ((1, 4), (0, 64), (0, 56))
