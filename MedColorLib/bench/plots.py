@@ -48,7 +48,9 @@ def _finished(figure, axes, plain_errors: bool = True) -> bytes:
     for axis in axes:
         axis.margins(x=0.12)
         for side in (axis.xaxis, axis.yaxis) if plain_errors else (axis.xaxis,):
-            side.set_major_locator(LogLocator(subs=(1, 2, 5) if side is axis.xaxis else (1, 1.5, 2, 3, 5, 7), numticks=30))
+            side.set_major_locator(
+                LogLocator(subs=(1, 2, 5) if side is axis.xaxis else (1, 1.5, 2, 3, 5, 7), numticks=30)
+            )
             side.set_major_formatter(FormatStrFormatter("%g"))
             side.set_minor_formatter(NullFormatter())
         axis.tick_params(labelsize=8)

@@ -98,9 +98,13 @@ def _is_worth(method: Method, remap: str, on_first: bool, quick: bool) -> bool:
     deep = method.preset == "full" or method.stop_layer in (1, 2)
     if quick:
         return on_first and remap == "as it is" if deep else on_first or method.features == "embedded"
-    if method.label == "full, lbfgs":
+    if method.reconstruction == "lbfgs":
         return on_first and remap in ("as it is", "strong")
-    return on_first or not deep or (method.label == "full" and remap in ("as it is", "strong"))
+    if not deep:
+        return True
+    if method.label == "full" and method.features == "vgg19" and on_first:
+        return True
+    return remap in ("as it is", "strong", "inverted") and (on_first or method.label == "full")
 
 
 def _variants(method: Method, remap: str, quick: bool) -> list[Variant]:
@@ -127,7 +131,7 @@ def _add_baselines(table: Table, pair: Pair) -> None:
 def _add_method(suite: Suite, pair: Pair, method: Method, quick: bool, times: bool) -> None:
     matched = Matched(pair.volume, pair.section.rgb, method)
     deep = method.preset == "full"
-    runs = 1 if quick and deep else 3 if quick or deep else 5
+    runs = 1 if deep and (quick or method.reconstruction == "lbfgs") else 2 if deep else 3 if quick else 5
     matching = timed(matched.match, runs, warm=True)[1] if times else None
     worst = color_errors(baselines(pair)["mean colour"], pair).mean
     keys = {"section": pair.section.name, "remap": pair.remap, "features": method.features, "method": method.label}
