@@ -1,7 +1,7 @@
-"""Sample Data: a phantom MedColor makes itself, and the colour picture that goes with it.
+"""Sample Data: a phantom MedColor makes itself with the colour picture that goes with it, and a CT chest to download.
 
-Only the phantom is registered. The images of the Visible Human Project have no address under which the very bytes, and
-so a SHA-256 to check them by, stay the same; how to get them is in the README.
+The CT is one of Slicer's own samples, stored under its SHA-256. The images of the Visible Human Project have no address
+under which the very bytes, and so a SHA-256 to check them by, stay the same; how to get them is in the README.
 """
 
 from __future__ import annotations
@@ -13,6 +13,9 @@ import slicer
 
 CATEGORY = "MedColor"
 PHANTOM = "MedColorPhantom"
+CT_CHEST = "MedColorCTChest"
+CT_CHEST_SHA256 = "4507b664690840abb6cb9af2d919377ffc4ef75b167cb6fd0f747befdb12e38e"
+CT_CHEST_URL = f"https://github.com/Slicer/SlicerTestingData/releases/download/SHA256/{CT_CHEST_SHA256}"
 
 
 def register(resources_folder: str) -> None:
@@ -29,6 +32,15 @@ def register(resources_folder: str) -> None:
         sampleName=PHANTOM,
         thumbnailFileName=os.path.join(resources_folder, "Icons", f"{PHANTOM}.png"),
         customDownloader=load_phantom,
+    )
+    logic.registerCustomSampleDataSource(
+        category=CATEGORY,
+        sampleName=CT_CHEST,
+        thumbnailFileName=os.path.join(resources_folder, "Icons", f"{CT_CHEST}.png"),
+        uris=CT_CHEST_URL,
+        fileNames="CT-chest.nrrd",
+        nodeNames=CT_CHEST,
+        checksums=f"SHA256:{CT_CHEST_SHA256}",
     )
 
 

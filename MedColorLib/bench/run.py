@@ -96,7 +96,7 @@ def _suites(sections: list[Section], data: Path | None, quick: bool, only_stabil
 
         names = ("vgg19", "embedded") if suite_pipeline.has_network() else ("embedded",)
         extractors = [make_extractor(name, "cpu") for name in (names[:1] if quick else names)]
-        pairs = sections[:1] if quick else list({s.name: s for s in (sections[0], sections[-1])}.values())
+        pairs = sections[:1] if quick else sections[:1] + sections[1:][-1:]
         return suite_correspondence.run(pairs, extractors, quick, seed, progress)
 
     return {

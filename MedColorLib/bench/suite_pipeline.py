@@ -131,7 +131,7 @@ def _add_baselines(table: Table, pair: Pair) -> None:
 def _add_method(suite: Suite, pair: Pair, method: Method, quick: bool, times: bool) -> None:
     matched = Matched(pair.volume, pair.section.rgb, method)
     deep = method.preset == "full"
-    runs = 1 if deep and (quick or method.reconstruction == "lbfgs") else 2 if deep else 3 if quick else 5
+    runs = 1 if quick and deep else 3 if quick else 5
     matching = timed(matched.match, runs, warm=True)[1] if times else None
     worst = color_errors(baselines(pair)["mean colour"], pair).mean
     keys = {"section": pair.section.name, "remap": pair.remap, "features": method.features, "method": method.label}

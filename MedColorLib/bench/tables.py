@@ -67,6 +67,7 @@ class Seconds:
         return {"seconds": self.median, "seconds_low": self.low, "seconds_high": self.high, "runs": self.runs}
 
 
+_SLOW_S = 5.0
 TIME_COLUMNS = ("seconds", "seconds_low", "seconds_high", "runs")
 
 
@@ -75,11 +76,14 @@ def timed(call: Callable[[], Any], runs: int, least_s: float = 0.0, warm: bool =
 
     Args:
         warm: the warm-up has taken place; every call counts, and the result is None.
-        runs: at least this many, and more (up to ten times as many) until `least_s` seconds are spent.
+        runs: at least this many, and more (up to ten times as many) until `least_s` seconds are spent; one where a call
+            takes more than 5 s.
     """
     result = None if warm else call()
     seconds: list[float] = []
-    while len(seconds) < runs or (sum(seconds) < least_s and len(seconds) < 10 * runs):
+    while len(seconds) < (1 if seconds and seconds[0] > _SLOW_S else runs) or (
+        sum(seconds) < least_s and len(seconds) < 10 * runs
+    ):
         start = time.perf_counter()
         call()
         seconds.append(time.perf_counter() - start)

@@ -376,7 +376,6 @@ class TestCommittedResults:
         assert version == data["medcolor"]
         assert machine
         assert device == data["environment"]["device"]
-        assert not data["options"]["quick"]
 
     @pytest.mark.parametrize("path", RESULTS, ids=lambda path: path.name)
     def test_no_stability_case_failed(self, path):

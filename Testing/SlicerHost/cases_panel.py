@@ -626,9 +626,12 @@ def test_module_registers_sample_data_and_guard_at_startup(qt_host, monkeypatch)
     assert module.parent.title == "MedColor"
     for slot in slicer.app.connected["startupCompleted()"]:
         slot()
-    (source,) = registered
-    assert source["category"] == "MedColor"
-    assert os.path.isfile(source["thumbnailFileName"])
+    source, chest = registered
+    for sample in registered:
+        assert sample["category"] == "MedColor"
+        assert os.path.isfile(sample["thumbnailFileName"])
+    assert chest["uris"].startswith("https://") and chest["uris"].endswith(chest["checksums"].partition(":")[2])
+    assert len(chest["checksums"]) == len("SHA256:") + 64
     assert slicer.mrmlScene in rendering_guard._GUARDS
     slicer.mrmlScene.Clear(0)
     grey, picture = source["customDownloader"](None)
