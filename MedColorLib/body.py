@@ -89,11 +89,13 @@ def find_body(array: np.ndarray) -> Body:
     """
     from scipy import ndimage
 
-    measured = _measured_range(array)
-    level = otsu_threshold(_normalised(strided(array), measured))
-    coarse = _coarse_planes(array, measured) > level
-    coarse = _largest_parts(_opened(coarse))
-    if not coarse.any():
+    for highest in (_ENDS[1], 98.0, 95.0):  # metal of 1 or 2 % of the voxels hides the patient from the first
+        measured = _measured_range(array, highest)
+        level = otsu_threshold(_normalised(strided(array), measured))
+        coarse = _largest_parts(_opened(_coarse_planes(array, measured) > level))
+        if coarse.any():
+            break
+    else:
         raise InputError("body: nothing stands out of the background; check the volume or give a window")
     radius = max(1, round(max(coarse.shape[1:]) / 64))
     for k in range(len(coarse)):
@@ -112,7 +114,7 @@ class _Measured:
     missing_as: float
 
 
-def _measured_range(array: np.ndarray) -> _Measured:
+def _measured_range(array: np.ndarray, highest: float) -> _Measured:
     """Tell padding from measurement.
 
     Scanners fill what lies outside their round field of view with one value far below the rest (-2000, -3024, -32768),
@@ -124,7 +126,7 @@ def _measured_range(array: np.ndarray) -> _Measured:
     above = halves[halves > floor]
     if above.size and above.min() - floor > 0.2 * np.ptp(np.percentile(above, _ENDS)) > 0:
         halves, floor = above, above.min()
-    low, high = np.percentile(halves, _ENDS)
+    low, high = np.percentile(halves, (_ENDS[0], highest))
     if low == high:
         low, high = halves.min(), halves.max()
     window, floor = Window(2 * float(low), 2 * float(high), "robust ends"), 2 * float(floor)

@@ -359,9 +359,10 @@ class TestRun:
         schema.check_results(data)
         assert {p.suffix for p in written} == {".html", ".json", ".png"}
         assert set(data["suites"]) >= {"pipeline", "smoothing", "correspondence", "stability"}
-        assert [
-            f[0] for f in data["suites"]["pipeline"]["failures"]
-        ] == ["features vgg19", "CT against cryosection by region"]
+        assert [f[0] for f in data["suites"]["pipeline"]["failures"]] == [
+            "features vgg19",
+            "CT against cryosection by region",
+        ]
 
 
 class TestCommittedResults:
