@@ -6,6 +6,7 @@ import copy
 import importlib
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import mpmath
@@ -349,9 +350,12 @@ class TestRun:
             run_bench(tmp_path, stability=True)
 
     @pytest.mark.slow
-    def test_quick_run_on_the_phantom(self, tmp_path, monkeypatch, small_raster):
+    def test_quick_run_on_the_phantom(self, tmp_path, monkeypatch):
         from MedColorLib.bench import run
+        from MedColorLib.parameters import PRESETS
 
+        for name, preset in PRESETS.items():  # not `small_raster`: it would last for the rest of this file
+            monkeypatch.setitem(PRESETS, name, replace(preset, grid_px=64))
         monkeypatch.setattr(run, "_DATA", tmp_path / "nothing")
         monkeypatch.setattr(suite_pipeline, "has_network", lambda: False)
         written = run.run_bench(tmp_path / "out", quick=True)
