@@ -17,8 +17,6 @@ from . import __version__
 from .errors import Cancelled, MedColorError
 from .parameters import FEATURES, LUMINANCE, PRESETS, RECONSTRUCTIONS, SMOOTHERS
 
-log = logging.getLogger("MedColor")
-
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,8 +19,6 @@ from .plan import LeftOut, Plan
 from .reference import Reference, prepare_reference, read_picture
 from .slices import SliceOrder, slice_order
 from .volume import Volume
-
-log = logging.getLogger("MedColor")
 
 SAMPLE_SLICES = 7  # slices from which window and contrast curve are taken
 
@@ -216,9 +213,9 @@ def _left_out(settings, preset, smoother, features, view, body, chosen, referenc
         entries.append(
             LeftOut(
                 f"layers {below}",
-                "they change the colour little (see the benchmark)",
+                "going on to layer 1 (full) brought the thorax pair of the benchmark no nearer to the truth",
                 "over nine tenths of the matching",
-                "about 0.1 to 0.3 CIEDE2000",
+                "at most 0.3 CIEDE2000 there, in favour of leaving them out",
             )
         )
     if smoother != "regression":
@@ -229,7 +226,7 @@ def _left_out(settings, preset, smoother, features, view, body, chosen, referenc
                 "L-BFGS deconvolution",
                 "the reference's own finer features are warped instead; --reconstruction lbfgs brings it back",
                 "an optimisation per layer and direction",
-                "see the benchmark",
+                "below 0.01 CIEDE2000 on two thorax pairs at layer 3",
             )
         )
     if len(references) == 1:
