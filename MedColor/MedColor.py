@@ -44,14 +44,20 @@ class MedColor(ScriptedLoadableModule):
             'See the <a href="{url}">documentation</a>.'
         ).format(url="https://github.com/MedColor/SlicerMedColor")
         parent.acknowledgementText = _(
-            'The method is that of the paper "Reference Based Color Transfer for Medical Volume Rendering".'
+            'The method is that of the paper "Reference Based Color Transfer for Medical Volume Rendering". '
+            "The cryosection of the sample data is courtesy of the U.S. National Library of Medicine."
         )
         slicer.app.connect("startupCompleted()", self._onStartupCompleted)
+        slicer.app.connect("aboutToQuit()", self._onAboutToQuit)
 
     def _onStartupCompleted(self):
         from MedColorSlicer import rendering_guard, samples
 
+        rendering_guard.guard_of(slicer.mrmlScene)  # results in scenes opened later look right, panel or no panel
         samples.register(self.resourcePath(""))
-        rendering_guard.guard_of(
-            slicer.mrmlScene
-        )  # results in scenes that are opened later look right, panel or no panel
+
+    def _onAboutToQuit(self):
+        """Nothing of Python observes the scene when it is taken down."""
+        from MedColorSlicer import rendering_guard
+
+        rendering_guard.release_guards()

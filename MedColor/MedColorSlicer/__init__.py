@@ -11,6 +11,6 @@ running       a computation in a worker thread while the window stays responsive
 dependencies  packages to install, by Slicer's own mechanisms, asked first
 samples       Sample Data
 widget        the panel: life cycle, Apply and Cancel
-panel_inputs, panel_plan, panel_preview, panel_display   parts of the panel
+panel_inputs, panel_smoother, panel_plan, panel_preview, panel_display   parts of the panel
 selftest      the test behind Slicer's "Reload and Test"
 """

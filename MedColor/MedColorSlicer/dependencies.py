@@ -1,15 +1,20 @@
 """Packages MedColor needs and Slicer lacks: asked for at Apply, installed by Slicer's own mechanisms, never silently.
 
 torch comes from the PyTorch extension, which knows the graphics driver. OpenCV exists under four names that overwrite
-one another, so it is asked for only where `cv2` cannot be imported at all.
+one another, so it is asked for only where `cv2` cannot be imported at all. NumPy stays as it is: Slicer has loaded it, and
+the newest OpenCV would replace it (Slicer 5.8 brings NumPy 1.26, OpenCV after 4.11 wants 2); pip is made to take an OpenCV
+that goes with it.
 """
 
 from __future__ import annotations
 
+import contextlib
+import importlib.metadata
 import importlib.util
 import os
 import re
 import subprocess
+import tempfile
 
 import slicer
 from slicer.i18n import tr as _
@@ -88,14 +93,27 @@ def _ask_and_install(packages: list[str], names: str) -> None:
         from slicer.packaging import pip_ensure
 
         try:
-            pip_ensure(packages, requester=REQUESTER)
+            with _constraints() as path:
+                pip_ensure(packages, constraints=path, requester=REQUESTER)
         except RuntimeError as error:
             raise NotInstalled(_declined(names)) from error
         return
     question = _("MedColor needs Python packages that are not installed: {names}. Install them now?")
     if not slicer.util.confirmOkCancelDisplay(question.format(names=names)):
         raise NotInstalled(_declined(names))
-    slicer.util.pip_install(" ".join(packages))
+    message = _("Installing {names}. This may take some minutes.").format(names=names)
+    with _constraints() as path, slicer.util.MessageDialog(message), slicer.util.WaitCursor():
+        slicer.util.pip_install([*packages, "--constraint", path])
+
+
+@contextlib.contextmanager
+def _constraints():
+    """Path of a file that holds pip to the NumPy that is there."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = os.path.join(folder, "constraints.txt")
+        with open(path, "w", encoding="utf-8") as stream:
+            stream.write(f"numpy=={importlib.metadata.version('numpy')}\n")
+        yield path
 
 
 def _failed(names: str) -> str:

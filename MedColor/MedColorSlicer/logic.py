@@ -53,7 +53,8 @@ class MedColorLogic(ScriptedLoadableModuleLogic):
             inputVolume: scalar volume node.
             references: colour pictures: a path, a folder, a colour volume node, an (H, W, 3) uint8 array, or a list.
             outputVolume: vector volume node to fill again, with its display kept; None: a new node.
-            settings: MedColorLib.Settings; or give its fields as options, for example preset="draft", seed=1.
+            settings: MedColorLib.Settings; or give its fields as options, for example preset="draft", seed=1. With
+                confidence=True the result's node reference "MedColorConfidence" is a volume of per cents.
             progress: called with (fraction 0..1, text).
             cancelled: called often; True stops and leaves the scene as it was.
             roi: markups ROI node; only its box is coloured, by the slices that it meets.
@@ -100,9 +101,7 @@ class MedColorLogic(ScriptedLoadableModuleLogic):
         import MedColorLib
         from MedColorLib.volume import ColorVolume
 
-        settings = dataclasses.replace(
-            settings or MedColorLib.Settings(), slices=(sliceIndex, sliceIndex + 1), preset="draft"
-        )
+        settings = self._draft(settings or MedColorLib.Settings(), (sliceIndex, sliceIndex + 1))
         volume = scene.volume_from_node(inputVolume)
         pictures = references_of.references_from(references, inputVolume)
 
@@ -202,6 +201,14 @@ class MedColorLogic(ScriptedLoadableModuleLogic):
     def setFade(self, fade: float) -> None:
         """0: slice views show grey alone; 1: colour alone."""
         comparison.set_fade(slicer.mrmlScene, fade)
+
+    @staticmethod
+    def _draft(settings, slices):
+        """Settings at draft quality; options go with their smoother, which another preset may replace."""
+        draft = dataclasses.replace(settings, preset="draft", slices=slices, smoother_options=None, confidence=False)
+        if draft.resolved_smoother == settings.resolved_smoother:
+            draft = dataclasses.replace(draft, smoother_options=settings.smoother_options)
+        return draft
 
     @staticmethod
     def _settings(settings, options):

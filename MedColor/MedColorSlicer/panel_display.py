@@ -71,8 +71,6 @@ class DisplayPart:
         manager = slicer.app.layoutManager()
         if manager is None or manager.threeDViewCount == 0:
             self.panel.say(_("There is no 3-D view; choose a layout that has one."))
-        elif not manager.threeDWidget(0).threeDView().renderWindow().SupportsOpenGL():
-            self.panel.say(_("This computer cannot draw volumes in 3-D (no OpenGL 3.2); the slice views still work."))
 
     def _onOpacity(self, value) -> None:
         node = self._node()

@@ -19,7 +19,9 @@ class InputsPart:
         self._recommended: list[str] = []
         self._filling = False
         ui = self.ui
+        # two of them, because the browse button of one chooses either files or folders
         ui.referencePathLineEdit.currentPathChanged.connect(self._onPath)
+        ui.referenceFolderLineEdit.currentPathChanged.connect(self._onPath)
         ui.roiSelector.currentNodeChanged.connect(self._onRoi)
         ui.recommendButton.clicked.connect(self._onRecommend)
         ui.recommendedList.currentRowChanged.connect(self._onPicked)
@@ -59,12 +61,13 @@ class InputsPart:
         """Rows, path and weights in line with the parameter node."""
         p, ui = self.panel.parameters, self.ui
         source = p.referenceSource
-        _show(source in ("files", "recommended"), ui.referencePathLabel, ui.referencePathLineEdit)
+        _show(source == "files", ui.referencePathLabel, ui.referencePathLineEdit)
+        _show(source == "recommended", ui.referenceFolderLabel, ui.referenceFolderLineEdit)
         _show(source == "node", ui.referenceNodeLabel, ui.referenceSelector)
         _show(source == "recommended", ui.recommendButton, ui.recommendedList)
-        ui.referencePathLabel.text = _("Folder:") if source == "recommended" else _("File or folder:")
-        if ui.referencePathLineEdit.currentPath != p.referencePath:
-            ui.referencePathLineEdit.currentPath = p.referencePath
+        for line in (ui.referencePathLineEdit, ui.referenceFolderLineEdit):
+            if line.currentPath != p.referencePath:
+                line.currentPath = p.referencePath
         if ui.roiSelector.currentNode() is not p.roi:
             ui.roiSelector.setCurrentNode(p.roi)
         ready = not scene.input_problem(p.inputVolume) and os.path.isdir(p.referencePath)
@@ -183,8 +186,10 @@ class InputsPart:
     def _download(self, job) -> str:
         from MedColorLib.features.weights import fetch_weights
 
+        text = _("Downloading")  # looked up here: the worker leaves Slicer alone
+
         def progress(present: int, expected: int) -> None:
-            job.progress(present / expected if expected else 0.0, _("Downloading"))
+            job.progress(present / expected if expected else 0.0, text)
 
         network = self._network
         self.panel.runResponsive(lambda: fetch_weights(network, progress, job.cancelled))

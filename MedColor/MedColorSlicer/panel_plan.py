@@ -13,6 +13,7 @@ from . import dependencies, parameters, running
 
 _DELAY_MS = 400  # after the last change
 _POLL_MS = 50
+_PATIENCE_SECONDS = 5.0  # a thread that outlives Python takes Slicer down with it
 _WAIT_SECONDS = 0.02  # in each poll the worker gets the interpreter for this long
 # Seconds per slice on two processor cores, before anything was measured on this computer.
 _FIRST_GUESS = {"draft": 0.5, "balanced": 1.5, "full": 20.0}
@@ -24,6 +25,7 @@ class PlanPart:
     def __init__(self, panel) -> None:
         self.panel, self.ui = panel, panel.ui
         self._worker, self._answer, self._asked, self._stale = None, None, None, False
+        self._slices = None  # how many the latest plan colours
         self._delay, self._poll = qt.QTimer(), qt.QTimer()
         self._delay.setSingleShot(True)
         self._delay.setInterval(_DELAY_MS)
@@ -36,10 +38,12 @@ class PlanPart:
         self._delay.start()
 
     def stop(self) -> None:
-        """The panel is going away; a worker that still runs ends unheard."""
+        """The panel is going away; a worker that still runs ends unheard, if it can before Python itself does."""
         self._delay.stop()
         self._poll.stop()
-        self._worker = None
+        worker, self._worker = self._worker, None
+        if worker is not None:
+            worker.join(_PATIENCE_SECONDS)
 
     def ask(self) -> None:
         """Begin to work out the plan for the present choices."""
@@ -97,12 +101,16 @@ class PlanPart:
         else:
             # columns of spaces are for fixed-width type; the panel has none
             self.ui.planText.plainText = re.sub(r"(?m)^  (\w[\w ]*?) {2,}", r"\1: ", self._answer["plan"].text())
-            self._showTimes(len(self._answer["plan"].slices))
+            self._slices = len(self._answer["plan"].slices)
+            self.showTimes()
 
-    def _showTimes(self, slices: int) -> None:
+    def showTimes(self) -> None:
+        """Beside the names of the presets, how long each may take; nothing before there is a plan."""
+        if self._slices is None:
+            return
         names = {"draft": _("Draft"), "balanced": _("Balanced"), "full": _("Full")}
         for index, preset in enumerate(parameters.PRESETS):
-            about = running.readable_seconds(seconds_per_slice(preset) * max(slices, 1))
+            about = running.readable_seconds(seconds_per_slice(preset) * max(self._slices, 1))
             text = _("{preset} (about {time})").format(preset=names[preset], time=about)
             self.ui.presetComboBox.setItemText(index, text)
 
@@ -119,8 +127,9 @@ def learn(preset: str, slices: int, seconds: float) -> None:
 
 
 _PLAN_FIELDS = (
-    "referenceSource", "referencePath", "pickedReference", "preset", "features", "smoother", "coherenceMm", "luminance",
-    "gamma", "windowAutomatic", "windowLow", "windowHigh", "allSlices", "firstSlice", "lastSlice", "device",
+    "referenceSource", "referencePath", "pickedReference", "preset", "features", "smoother", "smootherAutomatic",
+    "smootherOptions", "coherenceMm", "luminance", "gamma", "windowAutomatic", "windowLow", "windowHigh", "allSlices",
+    "firstSlice", "lastSlice", "device",
 )  # fmt: skip
 
 

@@ -1,10 +1,11 @@
 """The choices of the panel, kept in the scene, and the library settings they stand for.
 
 Every field has one control in the panel, tied to it by the property SlicerParameterName in `MedColor.ui`, or by
-`panel_inputs` (the path, the picked picture, the region of interest).
+`panel_inputs` (the path, the picked picture, the region of interest) and `panel_smoother` (the smoother's values).
 """
 
 import dataclasses
+import json
 from typing import Annotated
 
 from slicer import vtkMRMLDisplayableNode, vtkMRMLScalarVolumeNode, vtkMRMLVectorVolumeNode
@@ -32,7 +33,9 @@ class MedColorParameterNode:
 
     features: Annotated[str, Choice(FEATURES)] = "auto"
     smoother: Annotated[str, Choice(SMOOTHERS)] = "auto"
-    coherenceMm: Annotated[float, WithinRange(0.0, 20.0)] = 3.0
+    smootherAutomatic: bool = True  # the smoother's own values; `smootherOptions` waits
+    smootherOptions: str  # JSON: smoother -> name -> value, for those that were changed
+    coherenceMm: Annotated[float, WithinRange(0.0, 20.0)] = 8.0
     luminance: Annotated[str, Choice(LUMINANCES)] = "keep"
     gamma: Annotated[str, Choice(list(GAMMAS))] = "auto"
     windowAutomatic: bool = True
@@ -47,8 +50,34 @@ class MedColorParameterNode:
     seed: Annotated[int, WithinRange(0, 1000000)] = 0
 
     outputVolume: vtkMRMLVectorVolumeNode
+    confidence: bool = False
     opacity: Annotated[float, WithinRange(0.0, 1.0)] = 0.8
     fade: Annotated[float, WithinRange(0.0, 1.0)] = 0.5
+
+
+def resolved_smoother(parameters) -> str:
+    """The smoother that the choices of the panel stand for."""
+    import MedColorLib
+
+    return MedColorLib.Settings(preset=parameters.preset, smoother=parameters.smoother).resolved_smoother
+
+
+def chosen_options(parameters) -> dict:
+    """Name -> value of what was changed for the present smoother; what cannot be read counts as nothing."""
+    return _stored(parameters).get(resolved_smoother(parameters), {})
+
+
+def store_options(parameters, values: dict) -> None:
+    """Keep name -> value for the present smoother; those of the other smoothers stay."""
+    parameters.smootherOptions = json.dumps({**_stored(parameters), resolved_smoother(parameters): values})
+
+
+def _stored(parameters) -> dict:
+    try:
+        found = json.loads(parameters.smootherOptions or "{}")
+    except ValueError:  # a scene may come from anywhere
+        found = None
+    return {k: v for k, v in found.items() if isinstance(v, dict)} if isinstance(found, dict) else {}
 
 
 def settings_from(parameters):
@@ -64,7 +93,9 @@ def settings_from(parameters):
         "preset": parameters.preset,
         "features": parameters.features,
         "smoother": parameters.smoother,
+        "smoother_options": None if parameters.smootherAutomatic else chosen_options(parameters) or None,
         "coherence_mm": parameters.coherenceMm,
+        "confidence": parameters.confidence,
         "luminance": parameters.luminance,
         "gamma": GAMMAS[parameters.gamma],
         "window": None if parameters.windowAutomatic else (parameters.windowLow, parameters.windowHigh),

@@ -12,6 +12,7 @@ from slicer.i18n import tr as _
 SETTINGS_ATTRIBUTE = "MedColor.Settings"
 REPORT_ATTRIBUTE = "MedColor.Report"
 INPUT_ROLE = "MedColorInput"
+CONFIDENCE_ROLE = "MedColorConfidence"  # on the result: the volume of confidence that belongs to it
 
 
 def input_problem(node) -> str:
@@ -127,9 +128,12 @@ def only_inside(color_volume, region):
     import numpy as np
 
     box = tuple(slice(start, stop) for start, stop in region)
-    rgb = np.zeros_like(color_volume.rgb)
-    rgb[box] = color_volume.rgb[box]
-    return dataclasses.replace(color_volume, rgb=rgb, report={**color_volume.report, "region_kji": region})
+    parts = {"rgb": color_volume.rgb, "confidence": color_volume.confidence}
+    for name, values in parts.items():
+        if values is not None:
+            parts[name] = np.zeros_like(values)
+            parts[name][box] = values[box]
+    return dataclasses.replace(color_volume, **parts, report={**color_volume.report, "region_kji": region})
 
 
 def stack_of(node, plane: str = "transverse"):
@@ -167,7 +171,8 @@ def publish(color_volume, input_node, output_node=None, settings: dict | None = 
         settings: plain data, kept as a node attribute beside the report.
 
     Returns:
-        The result node: same IJK-to-RAS matrix, parent transform and subject-hierarchy folder as the input.
+        The result node: same IJK-to-RAS matrix, parent transform and subject-hierarchy folder as the input. A volume of
+        confidence, if there is one, is a scalar volume beside it, to which the result refers by CONFIDENCE_ROLE.
     """
     scene = input_node.GetScene()
     attributes = {
@@ -185,11 +190,38 @@ def publish(color_volume, input_node, output_node=None, settings: dict | None = 
         node.SetNodeReferenceID(INPUT_ROLE, input_node.GetID())
         if output_node is None:
             _place_beside(node, input_node)
+        _publish_confidence(color_volume.confidence, node, input_node)
     except BaseException:
         if output_node is None:
             remove(node)
         raise
     return node
+
+
+def _publish_confidence(confidence, node, input_node) -> None:
+    """Fill or make the volume of confidence of a result; one of earlier colours is removed where there is none now."""
+    known = node.GetNodeReference(CONFIDENCE_ROLE)
+    if confidence is None:
+        if known is not None:
+            node.RemoveNodeReferenceIDs(CONFIDENCE_ROLE)
+            remove(known)
+        return
+    scene = node.GetScene()
+    volume = known or scene.AddNewNodeByClass(
+        "vtkMRMLScalarVolumeNode", scene.GenerateUniqueName(f"{node.GetName()} confidence")
+    )
+    try:
+        _fill(volume, confidence, input_node)
+        if known is None:
+            display = volume.GetVolumeDisplayNode()
+            display.SetAutoWindowLevel(0)
+            display.SetWindowLevel(100.0, 50.0)  # per cent
+            _place_beside(volume, input_node)
+        node.SetNodeReferenceID(CONFIDENCE_ROLE, volume.GetID())
+    except BaseException:
+        if known is None:
+            remove(volume)
+        raise
 
 
 def remove(node) -> None:
@@ -202,13 +234,14 @@ def remove(node) -> None:
     scene.RemoveNode(node)
 
 
-def _fill(node, rgb, input_node) -> None:
+def _fill(node, voxels, input_node) -> None:
     matrix = vtk.vtkMatrix4x4()
     input_node.GetIJKToRASMatrix(matrix)
     with slicer.util.NodeModify(node):
-        slicer.util.updateVolumeFromArray(node, rgb)
+        slicer.util.updateVolumeFromArray(node, voxels)
         node.SetIJKToRASMatrix(matrix)
-        node.SetVoxelVectorType(node.VoxelVectorTypeColorRGB)
+        if node.IsA("vtkMRMLVectorVolumeNode"):
+            node.SetVoxelVectorType(node.VoxelVectorTypeColorRGB)
         node.SetAndObserveTransformNodeID(input_node.GetTransformNodeID())
     if node.GetVolumeDisplayNode() is None:
         node.CreateDefaultDisplayNodes()

@@ -86,6 +86,25 @@ class MedColorTest(ScriptedLoadableModuleTest):
                 self._process(make())
             self.assertTrue(str(caught.exception).endswith("."))
 
+    def test_confidence_is_a_volume_beside_the_result(self):
+        result = self._process(_grey(), confidence=True)
+        volume = result.GetNodeReference("MedColorConfidence")
+        self.assertEqual(volume.GetClassName(), "vtkMRMLScalarVolumeNode")
+        self.assertEqual(int(slicer.util.arrayFromVolume(volume).max()), 75)
+
+    def test_samples_are_offered(self):
+        import importlib.util
+
+        if importlib.util.find_spec("SampleData") is None:
+            self.skipTest("the module Sample Data is switched off")
+        from MedColorSlicer import samples
+
+        folder = os.path.join(os.path.dirname(slicer.util.modulePath("MedColor")), "Resources")
+        samples.register(folder)
+        samples.register(folder)
+        names = [source.sampleName for source in slicer.modules.sampleDataSources[samples.CATEGORY]]
+        self.assertEqual(sorted(names), [samples.CT_CHEST, samples.CRYOSECTION, samples.PHANTOM])
+
     # --- rendering -----------------------------------------------------------------------------------------------
 
     def test_rendering_survives_preset_and_scene_file(self):
@@ -157,6 +176,8 @@ class MedColorTest(ScriptedLoadableModuleTest):
             [n for n in slicer.util.getNodesByClass("vtkMRMLVectorVolumeNode") if "preview" in n.GetName()]
         )
         panel.ui.show3DCheckBox.click()
+        if slicer.app.layoutManager() and slicer.app.layoutManager().threeDViewCount:
+            self.assertIn("Done", panel.ui.statusLabel.text)  # nothing was found wrong with the view
         panel.ui.opacitySlider.value = 0.5
         from MedColorSlicer import rendering
 
@@ -167,6 +188,21 @@ class MedColorTest(ScriptedLoadableModuleTest):
         panel.ui.compareCheckBox.click()
         panel.ui.show3DCheckBox.click()
         self.assertFalse(rendering.display_node_of(result).GetVisibility())
+
+    def test_panel_values_of_the_smoother(self):
+        from MedColorSlicer import parameters
+
+        panel = self._panel()
+        p = panel.parameters
+        p.smoother, p.smootherAutomatic = "guided", False
+        boxes = {option.name: box for option, box in panel.smoother._boxes["guided"]}
+        boxes["radius"].value = 5
+        boxes["eps"].value = 3.5
+        self.assertEqual(parameters.settings_from(p).smoother_options, {"radius": 5, "eps": 3.5})
+        parameters.store_options(p, {"radius": 7})
+        self.assertEqual((boxes["radius"].value, boxes["eps"].value), (7, 2.0))
+        panel.ui.smootherAutomaticCheckBox.click()
+        self.assertIsNone(parameters.settings_from(p).smoother_options)
 
     def test_panel_cancel_and_error(self):
         panel = self._panel()
@@ -274,7 +310,8 @@ class _StandIn:
                 raise Cancelled
         rgb = np.zeros((*volume.array.shape, 3), np.uint8)
         rgb[volume.array > 0] = LEFT
-        return ColorVolume(rgb, volume.ijk_to_ras, {"settings": settings.to_dict()})
+        confidence = (volume.array > 0).astype(np.uint8) * 75 if settings.confidence else None
+        return ColorVolume(rgb, volume.ijk_to_ras, {"settings": settings.to_dict()}, confidence=confidence)
 
 
 def _logic():
@@ -342,6 +379,7 @@ def _picture(view, volume_node):
     camera.SetPosition(middle[0], middle[1] + 150, middle[2])
     camera.SetViewUp(0, 0, 1)
     window.GetRenderers().GetFirstRenderer().ResetCameraClippingRange()
+    slicer.app.processEvents()  # a window that was just shown, or laid out anew, is not drawn before this
     view.forceRender()
     grab = vtk.vtkWindowToImageFilter()
     grab.SetInput(window)

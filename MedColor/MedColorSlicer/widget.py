@@ -18,6 +18,7 @@ from .panel_display import DisplayPart
 from .panel_inputs import InputsPart
 from .panel_plan import PlanPart, learn
 from .panel_preview import PreviewPart
+from .panel_smoother import SmootherPart
 from .parameters import settings_from
 
 _LOG = logging.getLogger("MedColor")
@@ -33,7 +34,7 @@ class MedColorWidget(ScriptedLoadableModuleWidget, VTKObservationMixin):
         self.job = None  # running.Job while something is being computed
         self._inWork = None  # the volume it is computed from
         self._parameterNode = None
-        self._guiTag, self._guiObservers = None, []
+        self._guiTag, self._guiObservers, self._updateTag = None, [], None
         self._closed = False
 
     # --- life cycle -------------------------------------------------------------------------------------------------
@@ -47,6 +48,7 @@ class MedColorWidget(ScriptedLoadableModuleWidget, VTKObservationMixin):
         self.logic = MedColorLogic()
         rendering_guard.guard_of(slicer.mrmlScene)
         self.inputs = InputsPart(self)
+        self.smoother = SmootherPart(self)
         self.display = DisplayPart(self)
         self.preview = PreviewPart(self)
         self.plan = PlanPart(self)
@@ -54,17 +56,23 @@ class MedColorWidget(ScriptedLoadableModuleWidget, VTKObservationMixin):
         self.addObserver(slicer.mrmlScene, slicer.mrmlScene.StartCloseEvent, self._onSceneStartClose)
         self.addObserver(slicer.mrmlScene, slicer.mrmlScene.EndCloseEvent, self._onSceneEndClose)
         self.addObserver(slicer.mrmlScene, slicer.mrmlScene.NodeRemovedEvent, self._onNodeRemoved)
+        slicer.app.connect("lastWindowClosed()", self._onLastWindowClosed)
         self._showBusy(False)
         self._useParameterNode()
 
     def cleanup(self):
         """The panel is about to be deleted: at exit, and before a reload."""
         self._closed = True
-        if self.job:
-            self.job.cancel()
+        self._onLastWindowClosed()
+        slicer.app.disconnect("lastWindowClosed()", self._onLastWindowClosed)
         self.plan.stop()
         self._setParameterNode(None)
         self.removeObservers()
+
+    def _onLastWindowClosed(self):
+        """Slicer is about to quit, and waits for what runs."""
+        if self.job:
+            self.job.cancel()
 
     def enter(self):
         self._useParameterNode()
@@ -96,12 +104,14 @@ class MedColorWidget(ScriptedLoadableModuleWidget, VTKObservationMixin):
     def _setParameterNode(self, parameterNode):
         if self._parameterNode:
             self._disconnectControls()
-            self.removeObserver(self._parameterNode, vtk.vtkCommand.ModifiedEvent, self.update)
+            # not by the mixin: it would keep the wrapper, and every one of its own observers, until the panel is closed
+            self._parameterNode.RemoveObserver(self._updateTag)
         self._parameterNode = parameterNode
         if parameterNode:
             self._connectControls()
             self.inputs.nameChoices()
-            self.addObserver(parameterNode, vtk.vtkCommand.ModifiedEvent, self.update)
+            self.plan.showTimes()
+            self._updateTag = parameterNode.AddObserver(vtk.vtkCommand.ModifiedEvent, self.update)
             self.update()
 
     def _connectControls(self):
@@ -156,6 +166,7 @@ class MedColorWidget(ScriptedLoadableModuleWidget, VTKObservationMixin):
         if not self._parameterNode or self._closed:
             return
         self.inputs.update()
+        self.smoother.update()
         self.display.update()
         p, ui = self._parameterNode, self.ui
         ui.windowLowSpinBox.enabled = ui.windowHighSpinBox.enabled = not p.windowAutomatic

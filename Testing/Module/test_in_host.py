@@ -16,7 +16,9 @@ import pytest
 
 HOST = Path(__file__).resolve().parents[1] / "SlicerHost"
 # PySide6-Essentials 6.8.3: later ones (seen: 6.12.0) lose references to None and end Python before 3.12 with an abort.
-NEEDS = {"cases_panel.py": ("slicer_core", "PySide6")}
+PANEL = ("cases_panel.py", "cases_panel_running.py", "cases_panel_smoother.py")
+NEEDS = dict.fromkeys(PANEL, ("slicer_core", "PySide6"))
+ORIGINAL = "MEDCOLOR_SLICER_PYTHON"
 
 
 def missing_packages(names) -> list[str]:
@@ -24,11 +26,16 @@ def missing_packages(names) -> list[str]:
 
 
 def run_cases(name: str, **environment: str) -> subprocess.CompletedProcess:
-    command = [sys.executable, "-m", "pytest", "-p", "host_fixtures", "-p", "no:cacheprovider", str(HOST / name)]
+    plugins = ["-p", "host_fixtures", "-p", "panel_fixtures", "-p", "no:cacheprovider"]
+    command = [sys.executable, "-m", "pytest", *plugins, str(HOST / name)]
     paths = [str(HOST), os.environ.get("PYTHONPATH", "")]
     return subprocess.run(
         [*command, "-q", "-m", ""],
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, paths)), **environment},
+        env={
+            **{k: v for k, v in os.environ.items() if k != ORIGINAL},
+            "PYTHONPATH": os.pathsep.join(filter(None, paths)),
+            **environment,
+        },
         cwd=HOST.parents[1],
         capture_output=True,
         text=True,
@@ -54,10 +61,11 @@ def test_cases(name):
 
 
 @pytest.mark.slow
-def test_panel_with_parameter_nodes_of_an_installed_slicer():
+@pytest.mark.parametrize("name", PANEL)
+def test_panel_with_parameter_nodes_of_an_installed_slicer(name):
     """Slicer's own parameterNodeWrapper in place of the host's small one."""
-    folder = os.environ.get("MEDCOLOR_SLICER_PYTHON")
+    folder = os.environ.get(ORIGINAL)
     if not folder:
-        pytest.skip("MEDCOLOR_SLICER_PYTHON does not name the Python folder of an installed Slicer (bin/Python)")
-    done = run_cases("cases_panel.py", MEDCOLOR_SLICER_PYTHON=folder)
+        pytest.skip(f"{ORIGINAL} does not name the Python folder of an installed Slicer (bin/Python)")
+    done = run_cases(name, **{ORIGINAL: folder})
     assert done.returncode == 0, done.stdout[-6000:] + done.stderr[-3000:]

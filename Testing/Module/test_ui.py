@@ -120,7 +120,7 @@ def test_parameter_names_are_fields_of_the_parameter_node():
     tied = [p.findtext("string") for p in root.iter("property") if p.get("name") == "SlicerParameterName"]
     assert len(tied) == len(set(tied))
     assert set(tied) <= parameter_fields()
-    assert parameter_fields() - set(tied) == {"referencePath", "pickedReference", "roi"}
+    assert parameter_fields() - set(tied) == {"referencePath", "pickedReference", "roi", "smootherOptions"}
 
 
 def test_allow_list_agrees_with_an_introspected_slicer():
@@ -151,3 +151,63 @@ def test_names_used_in_the_code_are_in_the_ui():
                     isinstance(owner, ast.Name) and owner.id == "ui"
                 )
                 assert not is_ui or node.attr in names, f"{part.name}:{node.lineno} ui.{node.attr}"
+
+
+# Methods that the code calls and that are neither properties, signals nor slots; all of them are in Qt 5.15, CTK or qMRML.
+METHODS = {
+    "QComboBox": {"setItemText", "itemText"},
+    "QListWidget": {"addItem"},
+    "QWidget": {"layout", "grab", "property"},
+    "qMRMLNodeComboBox": {"currentNode"},
+}
+
+
+def names_of(known: dict, kind: str) -> set[str]:
+    """What a widget of this class has in Slicer: properties, signals, slots."""
+    found = set()
+    for name in ("QWidget", kind):
+        entry = known.get(name, {"properties": [], "signals": [], "slots": []})
+        found |= {prop for prop, _type in entry["properties"]}
+        found |= {method.partition("(")[0] for method in entry["signals"] + entry["slots"]}
+        found |= METHODS.get(name, set())
+    return found
+
+
+def uses_of_widgets(tree: ast.AST):
+    """(widget name, attribute, line) for every `ui.widget.attribute`."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Attribute):
+            owner = node.value.value
+            if getattr(owner, "attr", getattr(owner, "id", "")) == "ui":
+                yield node.value.attr, node.attr, node.lineno
+
+
+def test_what_the_code_asks_of_a_widget_an_introspected_slicer_has():
+    if not INTROSPECTED.is_file():
+        pytest.skip(f"{INTROSPECTED.name} is not beside the repository")
+    known = json.loads(INTROSPECTED.read_text(encoding="utf-8"))
+    kinds = {w.get("name"): w.get("class") for w in ElementTree.parse(UI).getroot().iter("widget")}
+    seen = 0
+    for part in (REPOSITORY / "MedColor" / "MedColorSlicer").glob("*.py"):
+        for widget, attribute, line in uses_of_widgets(ast.parse(part.read_text(encoding="utf-8"))):
+            seen += 1
+            assert attribute in names_of(known, kinds[widget]), f"{part.name}:{line} {widget}.{attribute}"
+    assert seen > 60
+    assert "tooltip" not in names_of(known, "QPushButton")
+
+
+def test_names_of_slicer_and_its_application_are_there():
+    """`slicer.util.x` and `slicer.app.x` of the module exist in Slicer 5.8."""
+    if not INTROSPECTED.is_file():
+        pytest.skip(f"{INTROSPECTED.name} is not beside the repository")
+    known = json.loads(INTROSPECTED.read_text(encoding="utf-8"))
+    folders = (REPOSITORY / "MedColor", REPOSITORY / "MedColor" / "MedColorSlicer", REPOSITORY / "Testing" / "Slicer")
+    seen = set()
+    for part in (path for folder in folders for path in folder.glob("*.py")):
+        for node in ast.walk(ast.parse(part.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Attribute):
+                owner = ast.unparse(node.value)
+                if owner in ("slicer.util", "slicer.app"):
+                    seen.add(f"{owner}.{node.attr}")
+                    assert node.attr in known[owner], f"{part.name}:{node.lineno} {owner}.{node.attr}"
+    assert len(seen) > 20

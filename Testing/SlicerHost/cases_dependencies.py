@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
 import subprocess
 import sys
 import types
 
+import numpy as np
 import pytest
 import slicer
 
@@ -20,6 +22,8 @@ def dependencies(host, monkeypatch):
         raise AssertionError("pip was called")
 
     monkeypatch.setattr(slicer.util, "pip_install", forbidden)
+    for name in ("MessageDialog", "WaitCursor"):  # they need a screen
+        monkeypatch.setattr(slicer.util, name, lambda *_arguments: contextlib.nullcontext(), raising=False)
     monkeypatch.setattr(slicer.app, "testingEnabled", lambda: False)
     monkeypatch.setattr(dependencies, "torch_missing", lambda: False)
     monkeypatch.setattr(dependencies, "missing", list)
@@ -66,14 +70,17 @@ def test_slicer_before_packaging(dependencies, monkeypatch, agreed):
     monkeypatch.setattr(dependencies, "missing", lambda: state["missing"])
     monkeypatch.setattr(slicer.util, "confirmOkCancelDisplay", lambda text: asked.append(text) or agreed)
 
-    def pip_install(text):
-        installed.append(text)
+    def pip_install(arguments):
+        *names, option, path = arguments
+        installed.append(names)
+        with open(path, encoding="utf-8") as stream:
+            assert (option, stream.read()) == ("--constraint", f"numpy=={np.__version__}\n")
         state["missing"] = []
 
     monkeypatch.setattr(slicer.util, "pip_install", pip_install)
     if agreed:
         dependencies.ensure()
-        assert installed == ["scipy>=1.9"]
+        assert installed == [["scipy>=1.9"]]
     else:
         with pytest.raises(dependencies.NotInstalled, match="Nothing was installed"):
             dependencies.ensure()
@@ -103,8 +110,9 @@ def test_slicer_with_packaging(dependencies, monkeypatch, agreed):
     state = {"missing": ["scipy>=1.9", "safetensors"]}
     calls = []
 
-    def pip_ensure(requirements, requester):
-        calls.append((list(requirements), requester))
+    def pip_ensure(requirements, constraints=None, requester=None):
+        with open(constraints, encoding="utf-8") as stream:
+            calls.append((list(requirements), stream.read(), requester))
         if not agreed:
             raise RuntimeError("declined")
         state["missing"] = []
@@ -120,7 +128,7 @@ def test_slicer_with_packaging(dependencies, monkeypatch, agreed):
     else:
         with pytest.raises(dependencies.NotInstalled, match="Nothing was installed"):
             dependencies.ensure()
-    assert calls == [(["scipy>=1.9", "safetensors"], "MedColor")]
+    assert calls == [(["scipy>=1.9", "safetensors"], f"numpy=={np.__version__}\n", "MedColor")]
 
 
 def test_torch_without_the_pytorch_extension(dependencies, monkeypatch):

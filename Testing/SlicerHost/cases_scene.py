@@ -138,6 +138,81 @@ def test_failure_half_way_leaves_nothing(nodes, scene, monkeypatch):
     assert node_ids(scene) == before
 
 
+def with_confidence(grey, per_cent=40):
+    shape = slicer.util.arrayFromVolume(grey).shape
+    confidence = np.full(shape, per_cent, np.uint8) if per_cent is not None else None
+    return ColorVolume(np.zeros((*shape, 3), np.uint8), np.eye(4), {}, confidence=confidence)
+
+
+def test_confidence_lies_beside_the_result_and_goes_with_it(nodes, scene):
+    hierarchy = slicer.vtkMRMLSubjectHierarchyNode.GetSubjectHierarchyNode(scene)
+    folder = hierarchy.CreateFolderItem(hierarchy.GetSceneItemID(), "folder")
+    grey = grey_node(matrix=OBLIQUE)
+    transform = linear_transform(np.diag([1.0, 2.0, 1.0, 1.0]))
+    grey.SetAndObserveTransformNodeID(transform.GetID())
+    hierarchy.SetItemParent(hierarchy.CreateItem(folder, grey), folder)
+    result = nodes.publish(with_confidence(grey), grey)
+    volume = result.GetNodeReference(nodes.CONFIDENCE_ROLE)
+    assert volume.GetClassName() == "vtkMRMLScalarVolumeNode"
+    assert volume.GetName() == f"{result.GetName()} confidence"
+    voxels = slicer.util.arrayFromVolume(volume)
+    assert voxels.dtype == np.uint8 and voxels.shape == slicer.util.arrayFromVolume(grey).shape and (voxels == 40).all()
+    np.testing.assert_allclose(nodes.ijk_to_world(volume), nodes.ijk_to_world(grey))
+    assert volume.GetTransformNodeID() == transform.GetID()
+    assert hierarchy.GetItemParent(hierarchy.GetItemByDataNode(volume)) == folder
+    display = volume.GetVolumeDisplayNode()
+    assert (display.GetWindow(), display.GetLevel(), display.GetAutoWindowLevel()) == (100.0, 50.0, 0)
+    display.SetWindowLevel(10.0, 5.0)
+    before = scene.GetNumberOfNodes()
+    nodes.publish(with_confidence(grey, 90), grey, result)
+    assert result.GetNodeReference(nodes.CONFIDENCE_ROLE) is volume
+    assert (slicer.util.arrayFromVolume(volume) == 90).all()
+    assert display.GetWindow() == 10.0
+    assert scene.GetNumberOfNodes() == before
+    nodes.publish(with_confidence(grey, None), grey, result)
+    assert result.GetNodeReference(nodes.CONFIDENCE_ROLE) is None
+    assert not scene.IsNodePresent(volume)
+
+
+def test_failed_confidence_leaves_nothing(nodes, scene, monkeypatch):
+    grey = grey_node()
+    before = node_ids(scene)
+    fill = nodes._fill
+
+    def fail_for_scalars(node, *arguments):
+        fill(node, *arguments)
+        if node.GetClassName() == "vtkMRMLScalarVolumeNode":
+            raise MemoryError
+
+    monkeypatch.setattr(nodes, "_fill", fail_for_scalars)
+    with pytest.raises(MemoryError):
+        nodes.publish(with_confidence(grey), grey)
+    assert node_ids(scene) == before
+
+
+def test_region_cuts_the_confidence_too(nodes):
+    cut = nodes.only_inside(with_confidence(grey_node()), ((1, 2), (0, 8), (0, 10)))
+    assert cut.confidence[1].all() and not cut.confidence[0].any() and not cut.confidence[2:].any()
+    assert nodes.only_inside(with_confidence(grey_node(), None), ((1, 2), (0, 8), (0, 10))).confidence is None
+
+
+def test_a_colour_picture_that_slicer_loads_is_a_reference(nodes, references, scene, host, tmp_path):
+    """As Sample Data loads the cryosection: an archetype volume, one file. (The wheel reads no PNG.)"""
+    import SimpleITK
+
+    picture = np.random.default_rng(3).integers(0, 256, (9, 7, 3), np.uint8)
+    path = str(tmp_path / "section7.mha")
+    SimpleITK.WriteImage(SimpleITK.GetImageFromArray(picture, isVector=True), path)
+    logic = slicer.vtkSlicerVolumesLogic()
+    logic.SetMRMLScene(scene)
+    logic.SetMRMLApplicationLogic(host.application_logic)
+    single_file = 4
+    node = logic.AddArchetypeVolume(path, "MedColorCryosection", single_file)
+    assert node.GetClassName() == "vtkMRMLVectorVolumeNode"
+    assert references.reference_problem(node, None) == ""
+    np.testing.assert_array_equal(references.picture_from_node(node), picture)
+
+
 def test_saved_and_reopened(nodes, scene, tmp_path):
     grey = grey_node("head", matrix=OBLIQUE)
     transform = linear_transform(np.diag([2.0, 1, 1, 1]))

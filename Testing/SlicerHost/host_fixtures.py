@@ -95,7 +95,9 @@ class StandIn:
         rgb = np.zeros((*volume.array.shape, 3), np.uint8)
         rgb[..., :] = (150, 100, 50)
         rgb[volume.array == 0] = 0
-        return ColorVolume(rgb, volume.ijk_to_ras, {"settings": settings.to_dict(), "made_by": "stand-in"})
+        report = {"settings": settings.to_dict(), "made_by": "stand-in"}
+        confidence = (volume.array != 0).astype(np.uint8) * 75 if settings.confidence else None
+        return ColorVolume(rgb, volume.ijk_to_ras, report, confidence=confidence)
 
 
 def grey_node(name="head", shape=(6, 8, 10), matrix=None, dtype=np.int16):

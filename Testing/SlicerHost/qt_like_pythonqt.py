@@ -1,7 +1,8 @@
 """PySide6 dressed as Slicer's `qt` and `ctk`: properties as attributes, and the few CTK and qMRML widgets of the panel.
 
 PythonQt shows a Qt property as an attribute (`button.text = "Apply"`), PySide6 as a pair of methods. The properties are
-added to the PySide6 classes from their meta-objects, so a name that Qt does not have raises here as it does in Slicer.
+added to the PySide6 classes from their meta-objects. As in Slicer, an attribute that the widget does not have cannot be
+set, nor a property to a value of another type (PySide6 itself would take both in silence).
 """
 
 from __future__ import annotations
@@ -19,11 +20,16 @@ _PROPERTY_CLASSES = (
 )  # fmt: skip
 
 
-def _attribute(name: str) -> property:
+_KINDS = {"bool": (bool,), "int": (int,), "uint": (int,), "double": (int, float), "QString": (str,)}
+
+
+def _attribute(name: str, kind: str = "QString") -> property:
     def read(self):
         return QtCore.QObject.property(self, name)
 
     def write(self, value):
+        if type(value) not in _KINDS.get(kind, (type(value),)):
+            raise ValueError(f"{self.metaObject().className()}.{name} is a {kind}, not {value!r}")
         if not QtCore.QObject.setProperty(self, name, value):
             raise AttributeError(f"{self.metaObject().className()}.{name} cannot be set to {value!r}")
 
@@ -34,8 +40,28 @@ def _add_properties() -> None:
     for cls in _PROPERTY_CLASSES:
         meta = cls.staticMetaObject
         for index in range(meta.propertyOffset(), meta.propertyCount()):
-            setattr(cls, meta.property(index).name(), _attribute(meta.property(index).name()))
+            name, kind = meta.property(index).name(), meta.property(index).typeName()
+            setattr(cls, name, _attribute(name, kind))
     QtCore.QObject.name = _attribute("objectName")
+
+
+def _no_new_attributes(self, name, value) -> None:
+    attribute = getattr(type(self), name, None)
+    if isinstance(attribute, QtCore.Property):
+        QtCore.QObject.setProperty(self, name, value)
+    elif hasattr(type(attribute), "__set__"):
+        attribute.__set__(self, value)
+    elif name.startswith("_") or isinstance(value, QtCore.SignalInstance):  # what the widgets below and PySide6 keep
+        self.__dict__[name] = value
+    else:
+        raise AttributeError(f"{type(self).__name__} has no attribute {name} to be set")
+
+
+def _forbid_new_attributes() -> None:
+    for module in (QtCore, QtWidgets):
+        for cls in vars(module).values():
+            if isinstance(cls, type) and issubclass(cls, QtCore.QObject):
+                cls.__setattr__ = _no_new_attributes
 
 
 class MrmlWidget(QtWidgets.QWidget):
@@ -230,6 +256,7 @@ class UiLoader(QtUiTools.QUiLoader):
 def make_qt() -> types.ModuleType:
     """Everything of Qt in one module, as in Slicer."""
     _add_properties()
+    _forbid_new_attributes()
     module = types.ModuleType("qt")
     for part in (QtCore, QtGui, QtWidgets, QtUiTools):
         module.__dict__.update({name: getattr(part, name) for name in dir(part) if name.startswith("Q")})

@@ -99,7 +99,7 @@ def panel(path, *arguments):
     widget.parameters.referenceSource = "files" if arguments else "sample"
     widget.parameters.referencePath = reference if arguments else ""
     widget.ui.advancedCollapsibleButton.collapsed = False
-    parent.resize(440, 990)
+    parent.resize(440, 1200)
     parent.show()
     end = time.monotonic() + 120
     while not widget.ui.planText.plainText.startswith("Plan") and time.monotonic() < end:

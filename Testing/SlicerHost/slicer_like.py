@@ -28,10 +28,19 @@ class WithinRange:
         self.minimum, self.maximum = minimum, maximum
 
 
+_RESERVED = {
+    "allParameters", "default", "isCached", "dataType", "getValue", "setValue", "connectGui", "connectParametersToGui",
+    "disconnectGui", "StartModify", "EndModify", "AddObserver", "RemoveObserver", "Modified", "parameterNode",
+}  # fmt: skip
+
+
 def parameterNodeWrapper(cls):
     """Typed fields over a vtkMRMLScriptedModuleNode: nodes as references, everything else as text."""
     hints = typing.get_type_hints(cls, include_extras=True)
     fields = {name: _Field(name, hint, getattr(cls, name, None)) for name, hint in hints.items()}
+    reserved = sorted(_RESERVED & set(fields))
+    if reserved:
+        raise ValueError(f"names of the wrapper itself: {', '.join(reserved)}")
     for name, field in fields.items():
         setattr(cls, name, property(field.read, field.write))
     cls._fields = fields
@@ -58,6 +67,8 @@ class _Field:
         if self.is_node:
             wrapper.parameterNode.SetNodeReferenceID(self.name, value.GetID() if value else None)
             return
+        if not isinstance(value, (int, float) if self.type is float else self.type):
+            raise TypeError(f"{self.name}: expected {self.type.__name__}, got {value!r}")
         value = self.type(value)
         for rule in self.annotations:
             if isinstance(rule, Choice) and value not in rule.choices:
@@ -140,6 +151,32 @@ def _connect(wrapper, field, widget):
     return field, write, lambda: signal.disconnect(changed)
 
 
+class SampleDataLogic:
+    """What Slicer 5.8 checks when a sample is registered; the keywords are all that it takes."""
+
+    def __init__(self):
+        self.sources = {}
+
+    def registerCustomSampleDataSource(
+        self, category="Custom", sampleName=None, uris=None, fileNames=None, nodeNames=None, customDownloader=None,
+        thumbnailFileName=None, loadFileTypes=None, loadFiles=None, loadFileProperties=None, checksums=None,
+        loadFileType=None,
+    ):  # fmt: skip
+        assert isinstance(category, str) and isinstance(sampleName, str)
+        assert loadFileType is None, "deprecated"
+        lists = {"fileNames": fileNames, "nodeNames": nodeNames, "checksums": checksums, "loadFileTypes": loadFileTypes}
+        if isinstance(uris, str):
+            assert not any(isinstance(value, (list, tuple)) for value in lists.values())
+        else:
+            count = len(uris)  # None fails here, as it does in Slicer
+            assert isinstance(fileNames, (list, tuple)) and len(fileNames) == count
+            assert all(value is None or len(value) == count for value in lists.values())
+        self.sources[sampleName] = {
+            **lists, "category": category, "uris": uris, "customDownloader": customDownloader,
+            "thumbnailFileName": thumbnailFileName, "loadFiles": loadFiles, "loadFileProperties": loadFileProperties,
+        }  # fmt: skip
+
+
 class ScriptedLoadableModule:
     def __init__(self, parent):
         self.parent = parent
@@ -197,7 +234,20 @@ class Application:
         self._qt, self.connected = qt_application, {}
 
     def connect(self, signal, slot):
+        if signal not in ("startupCompleted()", "aboutToQuit()", "lastWindowClosed()"):
+            raise ValueError(f"signal {signal} does not exist")
         self.connected.setdefault(signal, []).append(slot)
+
+    def disconnect(self, signal, slot):
+        """Whether it was connected."""
+        known = slot in self.connected.get(signal, [])
+        if known:
+            self.connected[signal].remove(slot)
+        return known
+
+    def emit(self, signal):
+        for slot in list(self.connected.get(signal, [])):
+            slot()
 
     def processEvents(self):
         if self._qt:
