@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import adaptive_avg_pool2d
 
+from .confidence import likeness
 from .correspondence import exact, patchmatch, windowed
 from .correspondence.field import upsample, warp
 
@@ -31,6 +32,7 @@ class Match:
         field: (N, h, w) target to reference; similarity: (N, h, w), the mean over the patch of <F_A, F_B> + <F_A', F_B'>.
         reverse: (N, h2, w2) reference to target, or None when nothing reads it.
         searched: how each layer was searched, layer -> "exact", "windowed" or "patchmatch".
+        likeness: (N, h5, w5), how alike matched positions look at layer 5, see `confidence.likeness`; None like `reverse`.
     """
 
     layer: int
@@ -38,6 +40,7 @@ class Match:
     similarity: Tensor
     reverse: Tensor | None
     searched: dict[int, str]
+    likeness: Tensor | None = None
 
 
 @dataclass(frozen=True)
@@ -77,7 +80,7 @@ def deep_image_analogy(
         target: layer -> (N, C, h, w) features of the target slices, for layers 5 .. stop_layer.
         reference: layer -> (1, C, h2, w2).
         target_mask: (N, H, W) bool body on the full grid; reference_mask: (H2, W2) bool tissue.
-        stop_layer: 5 .. 1. At the last layer the reverse field is left out unless `keep_reverse`.
+        stop_layer: 5 .. 1. At the last layer the reverse field, and likeness, are left out unless `keep_reverse`.
         context: position and grey that join the features, or None (the paper).
         reconstruct: how matched features come one layer down, `f(layer, coarse_warped, fine_warped) -> features of
             layer`; None takes the reference's own finer features warped by the upsampled field.
@@ -86,7 +89,7 @@ def deep_image_analogy(
         iterations, seed: of PatchMatch.
     """
     generator = torch.Generator().manual_seed(seed)
-    field = reverse = None
+    field = reverse = alike = None
     searched = {}
     for layer in range(5, stop_layer - 1, -1):
         a, b = target[layer], reference[layer]
@@ -107,7 +110,9 @@ def deep_image_analogy(
             refine = _fine_search(fine_search, layer, iterations, generator)
             field, similarity = refine(*pair, field, masks[1])
             reverse = _refine_reverse(refine, *pair, reverse, masks[0]) if both else None
-    return Match(stop_layer, field, similarity, reverse, searched)
+        if layer == 5 and keep_reverse:
+            alike = likeness(unit(a), unit(b), field, *masks)
+    return Match(stop_layer, field, similarity, reverse, searched, alike)
 
 
 def unit(features: Tensor) -> Tensor:

@@ -2,7 +2,8 @@
 
 Slices are matched one by one, but what their matches say about colour, the sums of the local regression over place in the
 body and grey, is averaged along the stack with a Gaussian of given width in millimetres before it is read. Evidence is
-kept only for the slices within reach: memory does not grow with the stack.
+kept only for the slices within reach: memory does not grow with the stack. The cells of the regression lie in the body's
+box, which jumps by pixels from slice to slice; they take a box that is smoothed by the same Gaussian.
 """
 
 from __future__ import annotations
@@ -12,6 +13,32 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 REACH_SIGMAS = 2.0  # beyond, a slice weighs under a seventh of the nearest
+MOST_SLICES = 12.0  # the widest Gaussian in slices: evidence of four times as many is in memory, 1 MB each
+GUIDE_SIGMA = 60.0  # 8-bit grey levels at which a neighbouring slice's pixel counts 1/e
+
+
+def sigma_in_slices(spacing_mm: float, sigma_mm: float) -> float:
+    """Width of the Gaussian in slices, at most MOST_SLICES."""
+    return min(sigma_mm / spacing_mm, MOST_SLICES) if spacing_mm > 0 else 0.0
+
+
+def frames(boxes: np.ndarray, spacing_mm: float, sigma_mm: float) -> list[tuple[float, float, float, float]]:
+    """Where each slice's box lies in its smoothed box: (top, bottom, left, right), 0 and 1 where they agree.
+
+    Args:
+        boxes: (n, 4) [j0, j1, i0, i1) of slices `spacing_mm` apart, in order. sigma_mm: of the smoothing; 0 for none.
+    """
+    from scipy.ndimage import gaussian_filter1d
+
+    exact = boxes.astype(np.float64)
+    sigma = sigma_in_slices(spacing_mm, sigma_mm)
+    reach = int(np.floor(REACH_SIGMAS * sigma))
+    smooth = gaussian_filter1d(exact, sigma, axis=0, mode="nearest", radius=reach) if reach > 0 else exact
+    found = []
+    for axis in (slice(0, 2), slice(2, 4)):
+        low, high = smooth[:, axis].T
+        found += list((exact[:, axis] - low[:, None]).T / (high - low))
+    return [tuple(map(float, edges)) for edges in np.stack(found, 1)]
 
 
 class SliceAverage:
@@ -29,14 +56,22 @@ class SliceAverage:
         spacing_mm: between neighbouring indices. sigma_mm: of the Gaussian; 0 keeps slices apart.
         """
         self._slices = list(slices)
-        self._sigma = sigma_mm / spacing_mm if spacing_mm > 0 else 0.0
+        self._sigma = sigma_in_slices(spacing_mm, sigma_mm)
         self._reach = int(np.floor(REACH_SIGMAS * self._sigma))
         self._waiting: dict[int, np.ndarray] = {}
+        self._guides: dict[int, np.ndarray | None] = {}
         self._next = 0
 
-    def push(self, k: int, values: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
-        """Add slice `k`; yields (slice, weighted sum over its neighbours) for each slice that is complete now."""
-        self._waiting[k] = values
+    def push(self, k: int, values: np.ndarray, guide: np.ndarray | None = None) -> Iterator[tuple[int, np.ndarray]]:
+        """Add slice `k`; yields (slice, weighted sum over its neighbours) for each slice that is complete now.
+
+        With guides the weighted mean is yielded instead.
+
+        Args:
+            guide: (H, W) 0..255 of `values` (H, W, C): a neighbour's pixel counts less the more its grey differs, as along
+                a line of the fast global smoother. None where `values` know grey themselves.
+        """
+        self._waiting[k], self._guides[k] = values, guide
         last = k == self._slices[-1]
         while self._next < len(self._slices):
             due = self._slices[self._next]
@@ -50,15 +85,18 @@ class SliceAverage:
         return any(newest < other <= due + self._reach for other in self._slices[self._next :][: 2 * self._reach + 2])
 
     def _average(self, due: int) -> np.ndarray:
-        total = None
+        total = weights = 0.0
         for k, values in self._waiting.items():
-            if abs(k - due) <= self._reach:
-                weight = np.exp(-0.5 * ((k - due) / self._sigma) ** 2) if k != due else 1.0
-                total = weight * values if total is None else total + weight * values
-        return total
+            if abs(k - due) > self._reach:
+                continue
+            weight = float(np.exp(-0.5 * ((k - due) / self._sigma) ** 2)) if k != due else 1.0  # keeps float32
+            if self._guides[due] is not None:
+                weight = weight * np.exp(np.abs(self._guides[k] - self._guides[due]) / -GUIDE_SIGMA)[..., None]
+            total, weights = total + weight * values, weights + weight
+        return total if self._guides[due] is None else total / weights
 
     def _forget(self) -> None:
         if self._next < len(self._slices):
             oldest = self._slices[self._next] - self._reach
             for k in [k for k in self._waiting if k < oldest]:
-                del self._waiting[k]
+                del self._waiting[k], self._guides[k]

@@ -24,6 +24,7 @@ class Preset:
         context: whether body-relative position and grey join the features (they are not in the paper).
         gamma: what `gamma=None` means. The paper's gamma ties chroma to the slice's own luminance: better where that is
             the photograph's, worse where contrast differs between the modalities (see the benchmark).
+        weighted: whether matches count by how far they can be trusted (they do not in the paper).
     """
 
     grid_px: int
@@ -31,12 +32,13 @@ class Preset:
     smoother: str
     context: bool
     gamma: bool
+    weighted: bool
 
 
 PRESETS = {
-    "draft": Preset(grid_px=160, stop_layer=3, smoother="regression", context=True, gamma=False),
-    "balanced": Preset(grid_px=256, stop_layer=3, smoother="regression", context=True, gamma=False),
-    "full": Preset(grid_px=256, stop_layer=1, smoother="fgs", context=False, gamma=True),
+    "draft": Preset(grid_px=160, stop_layer=3, smoother="regression", context=True, gamma=False, weighted=True),
+    "balanced": Preset(grid_px=256, stop_layer=3, smoother="regression", context=True, gamma=False, weighted=True),
+    "full": Preset(grid_px=256, stop_layer=1, smoother="fgs", context=False, gamma=True, weighted=False),
 }
 
 
@@ -49,6 +51,8 @@ class Settings:
         features: "auto" takes VGG-19 where its weights are present, else the embedded features.
         smoother: "auto" takes the preset's; "regression" (colour as a function of luminance within a neighbourhood),
             "fgs" (the paper), "guided", "domain-transform", "wls".
+        smoother_options: values of the smoother's own parameters by name, such as {"lam": 16.0, "iterations": 3}; None
+            takes their defaults. Names, ranges and defaults: `filters.smoother_options(smoother)`.
         luminance: "keep" leaves the scan's own; "paper" lets the reference's through as the paper's equation does.
         gamma: colour transfer between gamma 1/2 and 2 (the paper, section 4.1); None takes the preset's.
         window: (low, high) in the volume's units, or None for the file's window or robust percentiles.
@@ -58,7 +62,9 @@ class Settings:
         plane: "transverse", or "acquired" to take the array's first axis as the stack.
         device: "auto", "cpu", "cuda", "cuda:1", "mps".
         coherence_mm: neighbouring slices share their evidence of colour with a Gaussian of this width along the stack; 0
-            colours each slice by itself. Only with the smoother "regression".
+            colours each slice by itself. Not with the smoother "guided", nor without weights (preset "full" but for its
+            smoother "regression").
+        confidence: whether the result carries its confidence as a volume, too.
         seed: of the random search, 0 .. 2^63 - 1.
         reconstruction: how features come one layer down: "warp" (the reference's own finer features) or "lbfgs" (the
             deconvolution of Liao et al.).
@@ -68,6 +74,7 @@ class Settings:
     preset: str = "balanced"
     features: str = "auto"
     smoother: str = "auto"
+    smoother_options: dict | None = None
     luminance: str = "keep"
     gamma: bool | None = None
     window: tuple[float, float] | None = None
@@ -75,7 +82,8 @@ class Settings:
     region: tuple[tuple[int, int], tuple[int, int], tuple[int, int]] | None = None
     plane: str = "transverse"
     device: str = "auto"
-    coherence_mm: float = 3.0
+    coherence_mm: float = 8.0
+    confidence: bool = False
     seed: int = 0
     reconstruction: str = "warp"
     batch: int = 4
@@ -87,6 +95,8 @@ class Settings:
         _one_of("luminance", self.luminance, LUMINANCE)
         _one_of("plane", self.plane, ("transverse", "acquired"))
         _one_of("reconstruction", self.reconstruction, RECONSTRUCTIONS)
+        if self.smoother_options is not None:
+            object.__setattr__(self, "smoother_options", _smoother_options(self))
         if self.window is not None:
             object.__setattr__(self, "window", _window(self.window))
         if self.slices is not None:
@@ -104,6 +114,14 @@ class Settings:
     def resolved_smoother(self) -> str:
         """The smoother after `auto` has been replaced."""
         return PRESETS[self.preset].smoother if self.smoother == "auto" else self.smoother
+
+    @property
+    def weighs_matches(self) -> bool:
+        """Whether matches count by their confidence, and slices share their evidence."""
+        smoother = self.resolved_smoother
+        return smoother == "regression" or (
+            PRESETS[self.preset].weighted and smoother in ("fgs", "domain-transform", "wls")
+        )
 
     @property
     def resolved_gamma(self) -> bool:
@@ -131,6 +149,13 @@ class Settings:
 def _one_of(name: str, value: object, allowed: tuple[str, ...]) -> None:
     if value not in allowed:
         raise SettingsError(f"{name}: {value!r} is not one of {', '.join(allowed)}")
+
+
+def _smoother_options(settings: Settings) -> dict | None:
+    from .filters import smoother_parameters  # NumPy; not needed where the defaults do
+
+    checked = smoother_parameters(settings.resolved_smoother, settings.smoother_options)
+    return {name: getattr(checked, name) for name in settings.smoother_options} or None
 
 
 def _window(value) -> tuple[float, float]:

@@ -19,14 +19,15 @@ PICTURE_ENDINGS = (".png", ".tif", ".tiff")
 @contextmanager
 def quiet_cv2() -> Iterator[None]:
     """Keep OpenCV's complaints about damaged files off stderr; they become an `InputError`."""
-    from cv2.utils import logging as cv2_logging
+    import cv2
 
-    level = cv2_logging.getLogLevel()
-    cv2_logging.setLogLevel(cv2_logging.LOG_LEVEL_SILENT)
+    log = cv2 if hasattr(cv2, "setLogLevel") else cv2.utils.logging  # OpenCV 4, as NumPy 1 needs it; OpenCV 5
+    level = log.getLogLevel()
+    log.setLogLevel(0)  # silent
     try:
         yield
     finally:
-        cv2_logging.setLogLevel(level)
+        log.setLogLevel(level)
 
 
 def _decoded(data: np.ndarray) -> np.ndarray:

@@ -68,12 +68,15 @@ class ColorVolume:
         ijk_to_ras: (4, 4) float64, identical to the input's.
         report: plain data (JSON-ready): inputs by hash, settings, plan, seconds, versions, counts.
         name: label for files and nodes.
+        confidence: (k, j, i) uint8, how far the colour of each voxel can be trusted in per cent, 0 outside the body; None
+            where it was not asked for.
     """
 
     rgb: np.ndarray
     ijk_to_ras: np.ndarray
     report: dict = field(default_factory=dict)
     name: str = "volume colored"
+    confidence: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         rgb = np.asarray(self.rgb)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from ..grid import to_grid
 from ..parameters import Settings
 from ..prepare import prepare
 from ..progress import Run
-from ..transfer import TransferParameters, transfer_lab
+from ..transfer import SliceMatch, TransferParameters, transfer_lab
 from ..volume import Volume
 
 
@@ -83,11 +83,17 @@ class Matched:
         """a*, b* (rows, cols, 2) of the whole slice before they are drawn into the gamut; 0 outside the body."""
         parameters = TransferParameters(smoother, "keep", gamma, self.engine.guide_curve)
         grey, cover = self.engine.slice_in_box(self._k)
-        lab = transfer_lab(grey, cover > 0.5, self.lab, self._greys[0], self._masks[0], parameters, self._trusts[0])
+        match = SliceMatch(
+            self.lab, self._greys[0], self._masks[0], self._trusts[0] if self._weighs(smoother) else None
+        )
+        lab = transfer_lab(grey, cover > 0.5, match, parameters)
         out = np.zeros((*self.prepared.view.shape[1:], 2))
         j0, j1, i0, i1 = self.prepared.body.boxes[self._k]
         out[j0:j1, i0:i1] = lab[..., 1:]
         return out
+
+    def _weighs(self, smoother: str) -> bool:
+        return replace(self.prepared.settings, smoother=smoother).weighs_matches
 
     def box(self, plane: np.ndarray) -> np.ndarray:
         """A plane (rows, cols[, c]) of the whole slice, cut to the body's box."""

@@ -36,7 +36,7 @@ def _hue_terms(c1: np.ndarray, h1: np.ndarray, c2: np.ndarray, h2: np.ndarray) -
     """Hue difference dH' and mean hue in degrees: equations 10, 11, 14. Greys have no hue: the other's counts."""
     gray = c1 * c2 == 0.0
     step = h2 - h1
-    far = np.abs(step) > 180.0
+    far = np.abs(step) > 180.0 + 1e-9  # opposite hues are not far, whichever way NumPy's arctan2 rounds
     step = np.where(gray, 0.0, np.where(far, step - 360.0 * np.sign(step), step))
     total = h1 + h2
     mean = np.where(far, 0.5 * (total + np.where(total < 360.0, 360.0, -360.0)), 0.5 * total)

@@ -24,6 +24,8 @@ from . import wls as _wls
 from .domain_transform import DomainTransformParameters
 from .fgs import FgsParameters, fast_global_smoother
 from .guided import GuidedParameters
+from .options import Option, from_options, options_of
+from .regression import RegressionParameters
 from .wls import WlsParameters
 
 Smoother = Callable[..., np.ndarray]
@@ -40,7 +42,22 @@ PARAMETERS: dict[str, type] = {
     "guided": GuidedParameters,
     "domain-transform": DomainTransformParameters,
     "wls": WlsParameters,
+    "regression": RegressionParameters,  # not a filter of the difference (`transfer`), but set in the same way
 }
+
+
+def smoother_options(smoother: str) -> tuple[Option, ...]:
+    """What can be set on a smoother, a key of PARAMETERS."""
+    return options_of(PARAMETERS[smoother])
+
+
+def smoother_parameters(smoother: str, options: dict | None = None):
+    """An instance of PARAMETERS[smoother] from names and values; what is not named takes its default.
+
+    Raises:
+        SettingsError: an unknown name or a wrong value; the message lists what the smoother takes.
+    """
+    return from_options(smoother, PARAMETERS[smoother], options)
 
 
 def smooth(name: str, source: np.ndarray, guide: np.ndarray, parameters: Any = None) -> np.ndarray:
@@ -67,7 +84,11 @@ __all__ = [
     "DomainTransformParameters",
     "FgsParameters",
     "GuidedParameters",
+    "Option",
+    "RegressionParameters",
     "WlsParameters",
     "fast_global_smoother",
     "smooth",
+    "smoother_options",
+    "smoother_parameters",
 ]

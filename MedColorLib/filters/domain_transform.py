@@ -7,7 +7,8 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from .checks import count_in_range, float64_pair, in_range_of, number_in_range, output_dtype, require_parameters
+from . import options
+from .checks import float64_pair, in_range_of, output_dtype, require_parameters
 
 
 @dataclass(frozen=True)
@@ -20,14 +21,14 @@ class DomainTransformParameters:
         iterations: 1 to 30; each runs along rows, both ways, then along columns.
     """
 
-    sigma_s: float = 8.0
-    sigma_r: float = 200.0
-    iterations: int = 3
+    sigma_s: float = options.number(8.0, 1e-3, 1e9, "Distance over which colours mix.", "px")
+    sigma_r: float = options.number(
+        200.0, 1e-100, 1e100, "Difference of luminance across which colours mix less.", "of 255"
+    )
+    iterations: int = options.count(3, 1, 30, "Passes, each along rows and then along columns.")
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "sigma_s", number_in_range("sigma_s", self.sigma_s, 1e-3, 1e9))
-        object.__setattr__(self, "sigma_r", number_in_range("sigma_r", self.sigma_r, 1e-100, 1e100))
-        object.__setattr__(self, "iterations", count_in_range("iterations", self.iterations, 1, 30))
+        options.check(self)
 
 
 def _recurse(lines: np.ndarray, feedback: np.ndarray) -> None:

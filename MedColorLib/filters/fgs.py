@@ -13,14 +13,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..errors import InputError, SettingsError
-from .checks import count_in_range, number_in_range, require_parameters
+from ..errors import InputError
+from . import options
+from .checks import require_parameters
 
 if TYPE_CHECKING:
     import torch
 
 SCHEDULES = ("min2014", "opencv")
 LAMBDA_LIMIT = 1e30  # sums of links stay far inside float32
+_LARGEST = float(np.finfo(np.float64).max)
 
 
 @dataclass(frozen=True)
@@ -34,17 +36,15 @@ class FgsParameters:
         schedule: "min2014" or "opencv", how lambda is shared among the iterations.
     """
 
-    lam: float = 32.0
-    sigma: float = 200.0
-    iterations: int = 3
-    schedule: str = "min2014"
+    lam: float = options.number(32.0, 0.0, LAMBDA_LIMIT, "Strength; 0 smooths nothing.")
+    sigma: float = options.number(
+        200.0, 0.0, _LARGEST, "Difference of luminance across which colours mix less; 0 keeps every edge.", "of 255"
+    )
+    iterations: int = options.count(3, 1, 100, "Passes, each along rows and then along columns.")
+    schedule: str = options.choice("min2014", SCHEDULES, "How the strength is shared among the iterations.")
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "lam", number_in_range("lam", self.lam, 0.0, LAMBDA_LIMIT))
-        object.__setattr__(self, "sigma", number_in_range("sigma", self.sigma, 0.0, np.finfo(np.float64).max))
-        object.__setattr__(self, "iterations", count_in_range("iterations", self.iterations, 1, 100))
-        if self.schedule not in SCHEDULES:
-            raise SettingsError(f"schedule: expected one of {', '.join(SCHEDULES)}, got {self.schedule!r}")
+        options.check(self)
 
 
 def lambda_schedule(lam: float, iterations: int, schedule: str) -> list[float]:

@@ -6,7 +6,8 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from .checks import count_in_range, float64_pair, number_in_range, output_dtype, require_parameters
+from . import options
+from .checks import float64_pair, output_dtype, require_parameters
 
 
 @dataclass(frozen=True)
@@ -19,12 +20,13 @@ class GuidedParameters:
             1e-100..1e100. The paper's eps = 2 is for 8-bit guides: a standard deviation of 1.4 grey levels.
     """
 
-    radius: int = 16
-    eps: float = 2.0
+    radius: int = options.count(16, 0, 100_000, "Half the side of the window.", "px")
+    eps: float = options.number(
+        2.0, 1e-100, 1e100, "Variance of luminance below which a window is averaged rather than followed.", "of 255²"
+    )
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "radius", count_in_range("radius", self.radius, 0, 100_000))
-        object.__setattr__(self, "eps", number_in_range("eps", self.eps, 1e-100, 1e100))
+        options.check(self)
 
 
 def _box_sums(planes: np.ndarray, radius: int) -> np.ndarray:

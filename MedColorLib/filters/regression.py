@@ -12,7 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .checks import count_in_range, number_in_range
+from ..errors import SettingsError
+from . import options
+
+MOST_CELLS = 1 << 22  # 130 MB of sums a slice; the defaults on 256 x 256 pixels take 37 000
+WHOLE = (0.0, 1.0, 0.0, 1.0)  # (top, bottom, left, right): the picture fills the frame of the cells
 
 
 @dataclass(frozen=True)
@@ -26,16 +30,20 @@ class RegressionParameters:
         levels: how many times the cells are coarsened by two before the whole slice.
     """
 
-    cell_px: float = 8.0
-    bins: int = 32
-    support_px: float = 4.0
-    levels: int = 3
+    cell_px: float = options.number(8.0, 1, 1e6, "Side of the finest neighbourhoods on the matching raster.", "px")
+    bins: int = options.count(32, 2, 1024, "Levels of grey told apart.")
+    support_px: float = options.number(
+        4.0,
+        0,
+        1e9,
+        "Evidence at which a neighbourhood counts as much as the larger ones around it.",
+        "px",
+        above_low=True,
+    )
+    levels: int = options.count(3, 0, 8, "How many times neighbourhoods are doubled before the whole slice.")
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "cell_px", number_in_range("cell_px", self.cell_px, 1, 1e6))
-        object.__setattr__(self, "bins", count_in_range("bins", self.bins, 2, 1024))
-        object.__setattr__(self, "support_px", number_in_range("support_px", self.support_px, 0, 1e9, above_low=True))
-        object.__setattr__(self, "levels", count_in_range("levels", self.levels, 0, 8))
+        options.check(self)
 
 
 def smooth(source: np.ndarray, guide: np.ndarray, parameters: RegressionParameters | None = None) -> np.ndarray:
@@ -61,39 +69,46 @@ def solve(sums: np.ndarray, parameters: RegressionParameters) -> np.ndarray:
     return _shrink(_blur(sums), parameters.support_px, parameters.levels).astype(np.float32)
 
 
-def predict(model: np.ndarray, guide: np.ndarray) -> np.ndarray:
+def predict(model: np.ndarray, guide: np.ndarray, within: tuple[float, float, float, float] = WHOLE) -> np.ndarray:
     """Read the grid at every pixel of `guide` (h, w), whose size may differ from the one fitted: (h, w, C) float32."""
     import torch
 
-    height, width = guide.shape
-    rows, cols = model.shape[:2]
     volume = torch.from_numpy(np.ascontiguousarray(model)).permute(3, 2, 0, 1)[None]  # (1, C, bins, rows, cols)
-    y = torch.linspace(0, 1, height) if height > 1 else torch.full((1,), 0.5)
-    x = torch.linspace(0, 1, width) if width > 1 else torch.full((1,), 0.5)
-    # The grid has one cell of margin on every side; pixel centres map to cell coordinates 0.5 .. n - 1.5.
-    y = ((0.5 + y * (rows - 2)) * 2 / (rows - 1) - 1).view(-1, 1).expand(-1, width)
-    x = ((0.5 + x * (cols - 2)) * 2 / (cols - 1) - 1).view(1, -1).expand(height, -1)
+    axes = zip(_positions(guide.shape, model.shape[:2], within), model.shape[:2])
+    y, x = (torch.from_numpy(at * (2 / (count - 1)) - 1).float() for at, count in axes)
     z = torch.from_numpy(np.clip(guide, 0, 255).astype(np.float32)) * (2 / 255) - 1
-    where = torch.stack([x, y, z], -1)[None, None]
+    where = torch.stack([x.view(1, -1).expand(guide.shape), y.view(-1, 1).expand(guide.shape), z], -1)[None, None]
     out = torch.nn.functional.grid_sample(volume, where, mode="bilinear", padding_mode="border", align_corners=True)
     return out[0, :, 0].permute(1, 2, 0).numpy()
 
 
-def splat(source: np.ndarray, guide: np.ndarray, weight: np.ndarray, parameters: RegressionParameters) -> np.ndarray:
+def splat(
+    source: np.ndarray,
+    guide: np.ndarray,
+    weight: np.ndarray,
+    parameters: RegressionParameters,
+    within: tuple[float, float, float, float] = WHOLE,
+) -> np.ndarray:
     """Weighted sums of colour and, last, of weight, spread linearly over the nearest cells.
 
-    Arguments as for `fit`.
+    Args:
+        source, guide, weight, parameters: as for `fit`.
+        within: (top, bottom, left, right) edges of the picture in a frame from 0 to 1 that the cells fill; what lies
+            outside the frame goes to the cells at its rim.
 
     Returns:
         (rows, columns, bins, C + 1) float32.
     """
-    height, width = guide.shape
-    rows, cols = max(2, round(height / parameters.cell_px)) + 2, max(2, round(width / parameters.cell_px)) + 2
+    rows, cols = (max(2, round(side / parameters.cell_px)) + 2 for side in guide.shape)
     bins, channels = parameters.bins, source.shape[2]
-    y = 0.5 + np.linspace(0, 1, height) * (rows - 2) if height > 1 else np.full(1, (rows - 1) / 2)
-    x = 0.5 + np.linspace(0, 1, width) * (cols - 2) if width > 1 else np.full(1, (cols - 1) / 2)
+    if rows * cols * bins > MOST_CELLS:
+        raise SettingsError(
+            f"smoother_options: cell_px {parameters.cell_px:g} with {bins} bins asks for {rows * cols * bins} cells, at "
+            f"most {MOST_CELLS} are taken; choose larger cells or fewer bins"
+        )
+    y, x = _positions(guide.shape, (rows, cols), within)
     keep = weight.ravel() > 0
-    y, x = np.repeat(y, width)[keep], np.tile(x, height)[keep]
+    y, x = np.repeat(y, len(x))[keep], np.tile(x, len(y))[keep]
     z = np.clip(guide, 0, 255).ravel()[keep].astype(np.float64) * ((bins - 1) / 255)
     values = np.concatenate([source.reshape(-1, channels), np.ones((guide.size, 1))], 1)[keep]
     values = values * weight.ravel()[keep, None]
@@ -106,6 +121,15 @@ def splat(source: np.ndarray, guide: np.ndarray, weight: np.ndarray, parameters:
                 for c in range(channels + 1):
                     sums[:, c] += np.bincount(index, values[:, c] * share, minlength=len(sums))
     return sums.reshape(rows, cols, bins, channels + 1).astype(np.float32)
+
+
+def _positions(shape, count, within) -> tuple[np.ndarray, np.ndarray]:
+    """Cell coordinates of pixel rows and of columns: the frame's edges lie at 0.5 and n - 1.5, one cell is margin."""
+    edges = within[:2], within[2:]
+    return tuple(
+        np.clip(0.5 + (low + (np.arange(side) + 0.5) / side * (high - low)) * (n - 2), 0, n - 1)
+        for side, n, (low, high) in zip(shape, count, edges)
+    )
 
 
 def _corners(position: np.ndarray, size: int):

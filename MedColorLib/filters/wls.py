@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..errors import InputError, MedColorError
-from .checks import float64_pair, in_range_of, number_in_range, output_dtype, require_parameters
+from . import options
+from .checks import float64_pair, in_range_of, output_dtype, require_parameters
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_matrix
@@ -30,14 +31,12 @@ class WlsParameters:
         eps: added to that power, 1e-8..1e8: links are at most lam / eps.
     """
 
-    lam: float = 0.2
-    alpha: float = 1.8
-    eps: float = 1e-4
+    lam: float = options.number(0.2, 0.0, 1e6, "Strength; 0 smooths nothing.")
+    alpha: float = options.number(1.8, 0.0, 10.0, "How sharply smoothing stops at edges of luminance.")
+    eps: float = options.number(1e-4, 1e-8, 1e8, "Keeps smoothing finite where luminance is even.")
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "lam", number_in_range("lam", self.lam, 0.0, 1e6))
-        object.__setattr__(self, "alpha", number_in_range("alpha", self.alpha, 0.0, 10.0))
-        object.__setattr__(self, "eps", number_in_range("eps", self.eps, 1e-8, 1e8))
+        options.check(self)
 
 
 def _system(guide: np.ndarray, parameters: WlsParameters) -> csr_matrix:
@@ -63,8 +62,8 @@ def _factor(matrix: csr_matrix):
     """Sparse LU in the symmetric mode of SuperLU: no pivoting is needed, the diagonal dominates."""
     from scipy.sparse.linalg import splu
 
-    options = {"SymmetricMode": True}
-    return splu(matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
+    symmetric = {"SymmetricMode": True}
+    return splu(matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=symmetric)
 
 
 def _tiles(shape: tuple[int, int]) -> list[np.ndarray]:

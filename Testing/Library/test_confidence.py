@@ -8,7 +8,18 @@ import numpy as np
 import pytest
 import torch
 
-from MedColorLib.confidence import HOME_POSITIONS, LEAST_TRUST, Trust, consistency, on_full_grid, trust_of
+from MedColorLib.analogy import unit
+from MedColorLib.confidence import (
+    GREY_BELOW,
+    HOME_POSITIONS,
+    Trust,
+    consistency,
+    in_range,
+    likeness,
+    on_full_grid,
+    saturation,
+    trust_of,
+)
 from MedColorLib.correspondence.field import identity
 
 
@@ -32,10 +43,44 @@ def test_the_identity_is_trusted_everywhere():
     torch.testing.assert_close(consistency(field, field), torch.ones(1, 6, 7))
 
 
-def test_full_grid_keeps_the_range_and_leaves_a_rest_of_trust():
+def test_full_grid_keeps_the_range():
     full = on_full_grid(torch.tensor([[[0.0, 1.0], [0.5, 0.0]]]), (16, 24))
-    assert full.shape == (1, 16, 24)
-    assert full.min() >= LEAST_TRUST - 1e-6 and full.max() <= 1 + LEAST_TRUST + 1e-6
+    assert full.shape == (1, 16, 24) and full.min() >= 0 and full.max() <= 1
+
+
+class TestLikeness:
+    def maps(self, seed=0):
+        generator = torch.Generator().manual_seed(seed)
+        a, b = (unit(torch.randn(n, 8, 4, 5, generator=generator) + 0.7) for n in (2, 1))
+        return a, b, torch.randint(0, 20, (2, 4, 5), generator=generator)
+
+    def test_by_its_own_words(self):
+        a, b, field = self.maps()
+        masks = torch.rand(2, 4, 5) > 0.3, torch.rand(4, 5) > 0.3
+        got = likeness(a, b, field, *masks)
+        for n in range(2):
+            inside = [b[0][:, r, c] for r, c in masks[1].nonzero().tolist()]
+            pairs = [float(a[n, :, r, c] @ v) for r, c in masks[0][n].nonzero().tolist() for v in inside]
+            chance = sum(pairs) / len(pairs)
+            for row in range(4):
+                for col in range(5):
+                    similarity = float(a[n, :, row, col] @ b[0].flatten(1)[:, field[n, row, col]])
+                    assert got[n, row, col].item() == pytest.approx((similarity - chance) / (1 - chance), abs=1e-5)
+
+    def test_equal_is_one_and_empty_masks_are_no_nan(self):
+        a, _, _ = self.maps()
+        none = torch.zeros(1, 4, 5, dtype=torch.bool)
+        same = likeness(a[:1], a[:1], identity(1, 4, 5), ~none, ~none[0])
+        torch.testing.assert_close(same, torch.ones(1, 4, 5), atol=1e-5, rtol=0)
+        assert torch.isfinite(likeness(a[:1], a[:1], identity(1, 4, 5), none, none[0])).all()
+
+    def test_range(self):
+        torch.testing.assert_close(in_range(torch.tensor([0.1, 0.3, 0.4, 0.9]), 0.3, 0.5), torch.tensor([0, 0, 0.5, 1]))
+
+
+def test_colour_fades_where_less_and_less_is_trusted():
+    kept = [saturation(mean) for mean in (0.0, GREY_BELOW / 2, GREY_BELOW, 1.0)]
+    assert kept == [0.0, 0.5, 1.0, 1.0]
 
 
 class TestAgreement:

@@ -8,11 +8,12 @@ import pytest
 from MedColorLib.color.difference import ciede2000
 from MedColorLib.color.gamut import gamma_decode, gamma_encode
 from MedColorLib.color.lab import gray_to_lightness, lab_to_srgb, lightness_to_gray, srgb_to_lab
+from MedColorLib.confidence import LEAST_TRUST, Trust
 from MedColorLib.filters import FILTERS
 from MedColorLib.filters.regression import RegressionParameters, fit, predict
 from MedColorLib.grid import MARGIN, choose_grid, to_grid
 from MedColorLib.intensity import spreading_curve
-from MedColorLib.transfer import TransferParameters, transfer, transfer_lab
+from MedColorLib.transfer import REMAINDER, SliceMatch, TransferParameters, transfer, transfer_lab
 
 GRID = choose_grid(64)
 INNER = np.s_[MARGIN:-MARGIN, MARGIN:-MARGIN]
@@ -42,7 +43,14 @@ def arguments(shape=(48, 48)):
     grey, mask = scan(shape)
     grid_mask = to_grid(mask, GRID) > 0.5
     grid_grey = to_grid(grey * mask, GRID) * grid_mask
-    return grey, mask, matched_two(grid_grey), grid_grey, grid_mask
+    return grey, mask, SliceMatch(matched_two(grid_grey), grid_grey, grid_mask)
+
+
+def match_of(lab, grey, mask=None) -> SliceMatch:
+    """A slice (rows, cols) matched with `lab` on the grid."""
+    mask = np.ones(grey.shape, bool) if mask is None else mask
+    grid_mask = to_grid(mask, GRID) > 0.5
+    return SliceMatch(lab, to_grid(grey * mask, GRID) * grid_mask, grid_mask)
 
 
 def lightness_of(rgb):
@@ -55,11 +63,12 @@ class TestEveryWay:
     @pytest.mark.parametrize("luminance", ["keep", "paper"])
     def test_uint8_black_outside_and_arguments_untouched(self, smoother, luminance, gamma):
         given = arguments((60, 37))
-        before = [values.copy() for values in given]
+        arrays = (*given[:2], given[2].lab, given[2].grey, given[2].mask)
+        before = [values.copy() for values in arrays]
         rgb, clipped = transfer(*given, TransferParameters(smoother, luminance, gamma))
         assert rgb.shape == (60, 37, 3) and rgb.dtype == np.uint8 and clipped >= 0
         assert not rgb[~given[1]].any() and rgb[given[1]].any(-1).mean() > 0.8
-        for now, then in zip(given, before):
+        for now, then in zip(arrays, before):
             np.testing.assert_array_equal(now, then)
 
     def test_kept_luminance_is_the_scans(self, smoother, gamma):
@@ -72,16 +81,15 @@ class TestEveryWay:
         assert black.any() and not rgb[black].any()
 
     def test_black_scan_stays_black(self, smoother, gamma):
-        grey, mask, matched, grid_grey, grid_mask = arguments()
-        rgb, _ = transfer(
-            0 * grey, mask, matched, 0 * grid_grey, grid_mask, TransferParameters(smoother, "keep", gamma)
-        )
+        grey, mask, match = arguments()
+        dark = SliceMatch(match.lab, 0 * match.grey, match.mask)
+        rgb, _ = transfer(0 * grey, mask, dark, TransferParameters(smoother, "keep", gamma))
         assert not rgb.any()
 
     def test_grey_matches_leave_the_scan_grey(self, smoother, gamma):
-        grey, mask, _, grid_grey, grid_mask = arguments()
+        grey, mask, _ = arguments()
         parameters = TransferParameters(smoother, "keep", gamma)
-        rgb, clipped = transfer(grey, mask, matched_as((90, 90, 90)), grid_grey, grid_mask, parameters)
+        rgb, clipped = transfer(grey, mask, match_of(matched_as((90, 90, 90)), grey, mask), parameters)
         assert clipped == 0 and np.ptp(rgb, axis=-1).max() == 0
         np.testing.assert_allclose(rgb[mask][:, 0], 255 * grey[mask], atol=0.51)
 
@@ -91,12 +99,10 @@ class TestEveryWay:
 @pytest.mark.parametrize("smoother", SMOOTHERS)
 def test_a_scan_as_bright_as_its_matches_takes_their_colour(smoother, luminance, gamma):
     mask = np.ones((48, 48), bool)
-    grid_mask = to_grid(mask, GRID) > 0.5
     power = 0.5 if gamma else 1.0
     encoded = lightness_of(gamma_encode(np.array([BROWN]) / 255, power))
     grey = np.full((48, 48), gamma_decode(lightness_to_gray(encoded), power)[0])
-    given = grey, mask, matched_as(BROWN), to_grid(grey, GRID), grid_mask
-    rgb, _ = transfer(*given, TransferParameters(smoother, luminance, gamma))
+    rgb, _ = transfer(grey, mask, match_of(matched_as(BROWN), grey), TransferParameters(smoother, luminance, gamma))
     assert np.abs(rgb.astype(int) - BROWN).max() <= 1
 
 
@@ -109,45 +115,82 @@ def decoded_lab(lab, gamma):
 
 
 @pytest.mark.parametrize("gamma", [True, False])
-@pytest.mark.parametrize("smoother", SMOOTHERS)
+@pytest.mark.parametrize("smoother", tuple(FILTERS))
 def test_papers_equation_with_both_of_its_solves(smoother, gamma):
-    """S(T', T_L) - S(T_Lab, T_L) + T_Lab, word by word, on a slice as large as the grid's inner part.
-
-    The regression smooths a* and b*; L* goes through FGS beside it.
-    """
-    grey, _, matched, grid_grey, grid_mask = arguments()
-    mask = np.ones_like(grey, bool)
-    grid_mask = to_grid(mask, GRID) > 0.5
-    grid_grey = to_grid(grey, GRID)
+    """S(T', T_L) - S(T_Lab, T_L) + T_Lab, word by word, on a slice as large as the grid's inner part."""
+    grey, _, _ = arguments()
+    mask, match = np.ones_like(grey, bool), match_of(matched_two(to_grid(grey, GRID)), grey)
     scan_lab = np.zeros((*grey.shape, 3))
     scan_lab[..., 0] = gray_to_lightness(gamma_encode(grey.astype(np.float64), 0.5 if gamma else 1))
-    reference_lab = encoded_lab(matched, gamma)[INNER]
+    reference_lab = encoded_lab(match.lab, gamma)[INNER]
 
     def smoothed(source):
-        if smoother == "regression":
-            guide = 255 * grey.astype(np.float64)
-            chroma = predict(fit(source[..., 1:], guide, np.ones(grey.shape), RegressionParameters()), guide)
-            lightness = FILTERS["fgs"](source[..., :1], 2.55 * scan_lab[..., 0])
-            return np.concatenate([lightness, chroma], -1)
         return FILTERS[smoother](source, 2.55 * scan_lab[..., 0])
 
     expected = decoded_lab(smoothed(reference_lab) - smoothed(scan_lab) + scan_lab, gamma)
-    got = transfer_lab(grey, mask, matched, grid_grey, grid_mask, TransferParameters(smoother, "paper", gamma))
+    got = transfer_lab(grey, mask, match, TransferParameters(smoother, "paper", gamma))
     np.testing.assert_allclose(got, expected, atol=0.02)
-    kept = transfer_lab(grey, mask, matched, grid_grey, grid_mask, TransferParameters(smoother, "keep", gamma))
+    kept = transfer_lab(grey, mask, match, TransferParameters(smoother, "keep", gamma))
     if not gamma:
         np.testing.assert_allclose(kept[..., 1:], expected[..., 1:], atol=0.02)
         np.testing.assert_allclose(kept[..., 0], scan_lab[..., 0], atol=1e-6)
 
 
+def test_same_equation_with_the_regression_for_the_guess():
+    """X + S(T' - X), X the regression, S the fast global smoother on means of 2 x 2 pixels."""
+    import cv2
+
+    grey, _, _ = arguments()
+    match = match_of(matched_two(to_grid(grey, GRID)) + np.random.default_rng(1).normal(0, 3, (64, 64, 3)), grey)
+    guide = 255 * grey.astype(np.float64)
+    chroma = match.lab[INNER][..., 1:]
+    guess = predict(fit(chroma, guide, np.ones(grey.shape), RegressionParameters()), guide)
+    rest = (chroma - guess).reshape(24, 2, 24, 2, 2).mean((1, 3))
+    lightness = gray_to_lightness(grey.reshape(24, 2, 24, 2).mean((1, 3)).astype(np.float64))
+    expected = guess + cv2.resize(FILTERS["fgs"](rest, 2.55 * lightness, REMAINDER), (48, 48))
+    got = transfer_lab(grey, np.ones(grey.shape, bool), match, TransferParameters("regression", "keep", False))
+    np.testing.assert_allclose(got[..., 1:], expected, atol=0.02)
+    assert np.abs(expected - guess).max() > 0.1
+
+
+class TestTrust:
+    """A patch of wrong matches that nobody trusts takes its colour from what is trusted around it."""
+
+    def error(self, smoother, trusted):
+        grey = np.full((48, 48), 0.55, np.float32)
+        match = match_of(matched_as(BROWN), grey)
+        patch = np.s_[26:38, 26:38]
+        match.lab[patch] = matched_as((40, 160, 60))[patch]
+        confidence = match.mask.astype(np.float32) + LEAST_TRUST
+        confidence[patch] = 1 + LEAST_TRUST if trusted else LEAST_TRUST
+        match = SliceMatch(match.lab, match.grey, match.mask, Trust(confidence, 0.0, None))
+        lab = transfer_lab(grey, np.ones(grey.shape, bool), match, TransferParameters(smoother, "keep", False))
+        return np.abs(lab[..., 1:] - matched_as(BROWN)[0, 0, 1:])[20:28, 20:28].mean()
+
+    @pytest.mark.parametrize("smoother", ["regression", "fgs", "domain-transform", "wls"])
+    def test_wrong_matches_leave_no_patch(self, smoother):
+        assert self.error(smoother, trusted=False) < 0.3 * self.error(smoother, trusted=True)
+
+    @pytest.mark.parametrize("smoother", ["regression", "fgs"])
+    def test_no_colour_where_nothing_is_trusted(self, smoother):
+        from MedColorLib.transfer import combine, relation_sums, remainder, solve_relation
+
+        grey, mask, match = arguments()
+        parameters = TransferParameters(smoother, "keep", False)
+        relation = solve_relation(relation_sums(match, parameters), parameters) if smoother == "regression" else None
+        rest = remainder(match, relation, parameters)
+        lab = combine(grey, mask, relation, rest, parameters, saturation=0.0)
+        assert np.abs(lab[..., 1:]).max() == 0 and lab[mask, 0].max() > 50
+
+
 @pytest.mark.parametrize("smoother", SMOOTHERS)
 def test_tissues_take_the_colours_of_their_matches(smoother):
-    grey, mask, matched, grid_grey, grid_mask = arguments()
-    rgb, _ = transfer(grey, mask, matched, grid_grey, grid_mask, TransferParameters(smoother, "paper", False))
+    grey, mask, match = arguments()
+    rgb, _ = transfer(grey, mask, match, TransferParameters(smoother, "paper", False))
     lab = srgb_to_lab(rgb)
     rows, cols = np.mgrid[-1:1:48j, -1:1:48j]
     far = mask & (np.abs(rows + 0.5 * cols) > 0.4) & (grey > 0)  # the filters of the paper let colour cross edges
-    assert ciede2000(lab, matched[INNER])[far].mean() < (6 if smoother == "regression" else 16)
+    assert ciede2000(lab, match.lab[INNER])[far].mean() < (6 if smoother == "regression" else 16)
     assert lab[far & (grey > 0.45), 2].mean() > lab[far & (grey <= 0.45), 2].mean() + 2  # cream is the yellower one
 
 
@@ -167,28 +210,26 @@ def test_guide_curve_is_for_the_regression_only():
 
 
 def test_colours_out_of_gamut_are_counted_and_keep_the_luminance():
-    grey, mask, _, grid_grey, grid_mask = arguments()
-    given = grey, mask, matched_as((255, 0, 0)), grid_grey, grid_mask, TransferParameters("regression", "keep", False)
-    rgb, clipped = transfer(*given)
+    grey, mask, _ = arguments()
+    parameters = TransferParameters("regression", "keep", False)
+    rgb, clipped = transfer(grey, mask, match_of(matched_as((255, 0, 0)), grey, mask), parameters)
     assert 0 < clipped <= mask.sum()
     assert np.abs(lightness_of(rgb) - gray_to_lightness(grey.astype(np.float64)))[mask].max() < 0.4
-    assert transfer(grey.clip(0.1), mask, matched_as((120, 110, 100)), *given[3:])[1] == 0
+    assert transfer(grey.clip(0.1), mask, match_of(matched_as((120, 110, 100)), grey, mask), parameters)[1] == 0
 
 
 @pytest.mark.parametrize("smoother", SMOOTHERS)
 @pytest.mark.parametrize("shape", [(1, 1), (1, 9), (7, 1), (3, 200)])
 def test_boxes_of_any_shape(smoother, shape):
     grey, mask = np.full(shape, 0.5, np.float32), np.ones(shape, bool)
-    grid_mask = to_grid(mask, GRID) > 0.5
-    given = grey, mask, matched_as(BROWN), to_grid(grey, GRID), grid_mask
-    rgb, _ = transfer(*given, TransferParameters(smoother, "keep", True))
+    rgb, _ = transfer(grey, mask, match_of(matched_as(BROWN), grey), TransferParameters(smoother, "keep", True))
     assert rgb.shape == (*shape, 3) and np.abs(lightness_of(rgb) - gray_to_lightness(np.array([0.5]))).max() < 0.4
     assert (rgb[..., 0] > rgb[..., 2]).all()
 
 
 def test_body_that_the_grid_does_not_show():
     """A body so thin that no pixel of the grid is half covered: no evidence, so grey, and no NaN."""
-    grey, mask, matched, grid_grey, grid_mask = arguments()
-    parameters = TransferParameters("regression", "keep", False)
-    rgb, clipped = transfer(grey, mask, matched, grid_grey, np.zeros_like(grid_mask), parameters)
+    grey, mask, match = arguments()
+    unseen = SliceMatch(match.lab, match.grey, np.zeros_like(match.mask))
+    rgb, clipped = transfer(grey, mask, unseen, TransferParameters("regression", "keep", False))
     assert clipped == 0 and np.ptp(rgb, axis=-1).max() == 0
