@@ -1,0 +1,499 @@
+"""Batches: every volume once, whatever happens to one of them, to a worker or to the whole."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from batch_work import work
+from volume_samples import save_nrrd
+
+from MedColorLib import Settings, batch, batch_workers, colorize, read_color_volume, run_batch, vote
+from MedColorLib.batch import Found, color_file, find_volumes, make_tasks
+from MedColorLib.batch_workers import WorkerLost, run_here, run_on_cluster, run_processes
+from MedColorLib.cli import main
+from MedColorLib.errors import DeviceError, InputError, MissingPackageError, OutputError, SettingsError
+from MedColorLib.volume_io import _READERS, input_sha256
+
+ROOT = Path(__file__).resolve().parents[2]
+DRAFT = Settings(preset="draft", features="embedded", device="cpu")
+GOOD = ("a.nrrd", "b/c.nrrd", "b/d.nrrd", "e.nrrd")
+OPTIONS = ("-r", "section.png", "--preset", "draft", "--features", "embedded", "--device", "cpu")
+
+
+@pytest.fixture
+def cohort(ct, tmp_path, monkeypatch) -> Path:
+    """Working folder with section.png and `in`: four volumes of four slices, one broken, a text and a hidden file."""
+    monkeypatch.chdir(tmp_path)
+    cv2.imwrite("section.png", ct.reference[..., ::-1])
+    Path("in/b").mkdir(parents=True)
+    for number, name in enumerate(GOOD):
+        save_nrrd(Path("in", name), ct.volume.array[number + 2 : number + 6], ct.volume.ijk_to_ras)
+    data = Path("in/a.nrrd").read_bytes()
+    Path("in/broken.nrrd").write_bytes(data[: len(data) // 2])
+    Path("in/notes.txt").write_text("no volume")
+    Path("in/.hidden.nrrd").write_bytes(data)
+    return tmp_path
+
+
+def states(result) -> dict[str, str]:
+    return {outcome.volume: outcome.state for outcome in result.outcomes}
+
+
+def expected_states(state: str) -> dict[str, str]:
+    return {**dict.fromkeys(GOOD, state), "broken.nrrd": "failed"}
+
+
+def assert_whole(results: Path, settings: Settings = DRAFT) -> None:
+    """Every good volume has exactly the voxels of a run by itself, and nothing else lies there."""
+    from MedColorLib import read_volume
+
+    names = {path.relative_to(results).as_posix() for path in results.rglob("*") if path.is_file()}
+    stems = [name.removesuffix(".nrrd") for name in GOOD]
+    assert names == {"batch.json", *(f"{stem}-colored.{kind}" for stem in stems for kind in ("nrrd", "json"))}
+    for name, stem in zip(GOOD, stems):
+        plain = colorize(read_volume(Path("in", name)), ["section.png"], settings)
+        np.testing.assert_array_equal(read_color_volume(results / f"{stem}-colored.nrrd").rgb, plain.rgb)
+
+
+def tree(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+class TestFinding:
+    def test_volumes_and_what_is_passed_over(self, cohort):
+        found = find_volumes("in", "out")
+        assert list(found.volumes) == sorted([*GOOD, "broken.nrrd"]) and found.passed_over == {".txt": 1}
+
+    def test_endings_are_those_of_the_readers(self):
+        others = (*batch.TIFF_ENDINGS, *batch.DICOM_ENDINGS, ".png", ".jpg", ".jpeg", ".bmp")
+        assert {*batch.VOLUME_ENDINGS, *others} == {*_READERS}
+
+    def test_dicom_folders_and_pages(self, tmp_path):
+        import SimpleITK as sitk
+
+        (tmp_path / "in" / "p" / "series").mkdir(parents=True)
+        for name in ("p/series/1", "2.dcm"):
+            sitk.WriteImage(sitk.GetImageFromArray(np.zeros((4, 4), np.int16)), tmp_path / "in" / "x.dcm")
+            (tmp_path / "in" / "x.dcm").rename(tmp_path / "in" / name)
+        cv2.imwritemulti(str(tmp_path / "in" / "pages.tif"), [np.zeros((4, 4), np.uint8)] * 3)
+        cv2.imwrite(str(tmp_path / "in" / "p" / "flat.tif"), np.zeros((4, 4), np.uint8))
+        (tmp_path / "in" / "p" / "damaged.tif").write_bytes(b"II*")
+        (tmp_path / "in" / "p" / "link").symlink_to(tmp_path)
+        found = find_volumes(tmp_path / "in", tmp_path / "out")
+        assert list(found.volumes) == ["in", "p/series", "pages.tif"]
+        assert found.passed_over == {".tif": 2, "linked folders": 1}
+
+    def test_results_are_no_input(self, cohort):
+        assert run_batch("in", ["section.png"], "in/out", DRAFT).failed == 1
+        before = find_volumes("in", "in/out").volumes
+        assert list(before) == sorted([*GOOD, "broken.nrrd"])
+        elsewhere = find_volumes("in", "out")
+        assert elsewhere.volumes == before and elsewhere.passed_over["results of a batch"] == 1
+
+    def test_input_is_hashed_without_what_lies_in_folders_below(self, cohort):
+        """Results that are written below a DICOM folder do not make it another input."""
+        before = input_sha256("in")
+        Path("in/b/more").write_text("x")
+        assert input_sha256("in") == before
+        Path("in/more").write_text("x")
+        assert input_sha256("in") != before
+        assert input_sha256("in/a.nrrd") != input_sha256("in/e.nrrd")
+
+    def test_two_volumes_of_one_name(self, cohort):
+        shutil.copy("in/a.nrrd", "in/A.nhdr")
+        found = Found({name: Path("in", name).resolve() for name in ("A.nhdr", "a.nrrd", "e.nrrd")}, {})
+        tasks = make_tasks(found, ["section.png"], "out", DRAFT, 0)
+        assert [task.result for task in tasks] == ["A.nhdr-colored.nrrd", "a.nrrd-colored.nrrd", "e-colored.nrrd"]
+
+    @pytest.mark.parametrize(
+        ("folder", "output", "message"),
+        [
+            ("nowhere", "out", "nowhere: is not a folder"),
+            ("in/a.nrrd", "out", "is not a folder"),
+            ("in", "in", "is or lies inside the output folder"),
+            ("in/b", "in", "is or lies inside the output folder"),
+            ("empty", "out", "empty: holds no volume"),
+        ],
+    )
+    def test_wrong_folder(self, cohort, folder, output, message):
+        Path("empty").mkdir()
+        with pytest.raises(InputError, match=message):
+            find_volumes(folder, output)
+
+
+@pytest.mark.usefixtures("small_raster")
+class TestBatch:
+    def test_all_but_the_broken_one(self, cohort):
+        seen = []
+        result = run_batch("in", ["section.png"], "out/deep", DRAFT, progress=lambda f, text: seen.append((f, text)))
+        assert states(result) == expected_states("done") and result.failed == 1
+        assert_whole(Path("out/deep"))
+        assert [f for f, _ in seen] == sorted(f for f, _ in seen) and seen[-1] == (1.0, "5 of 5 volumes")
+        summary = json.loads(Path("out/deep/batch.json").read_text())
+        assert summary["counts"] == {"done": 4, "failed": 1} and summary["passed_over"] == {".txt": 1}
+        assert {v["volume"]: v["state"] for v in summary["volumes"]} == expected_states("done")
+        broken = next(v for v in summary["volumes"] if v["state"] == "failed")
+        assert "cut short or damaged" in broken["reason"]
+        assert str(cohort) not in json.dumps(summary)
+        assert "broken.nrrd  failed   the voxels are cut short" in result.text()
+        assert "Passed over, no volumes: 1 .txt" in result.text()
+
+    def test_second_run_does_nothing(self, cohort, monkeypatch):
+        run_batch("in", ["section.png"], "out", DRAFT)
+        before = tree(Path("out"))
+        monkeypatch.setattr("MedColorLib.pipeline.colorize", None)
+        result = run_batch("in", ["section.png"], "out", DRAFT)
+        assert states(result) == expected_states("skipped") and "finished before" in result.text()
+        del before["batch.json"]
+        assert before.items() <= tree(Path("out")).items()
+
+    @pytest.mark.parametrize(
+        ("change", "again"),
+        [
+            (lambda: shutil.copy("in/e.nrrd", "in/a.nrrd"), {"a.nrrd"}),
+            (lambda: shutil.copy("in/e.nrrd", "in/broken.nrrd"), {"broken.nrrd"}),
+            (lambda: Path("out/e-colored.nrrd").unlink(), {"e.nrrd"}),
+            (lambda: Path("out/e-colored.nrrd").write_bytes(b"cut"), {"e.nrrd"}),
+            (lambda: Path("out/e-colored.json").unlink(), {"e.nrrd"}),
+            (lambda: Path("out/e-colored.json").write_text("[]"), {"e.nrrd"}),
+            (lambda: cv2.imwrite("section.png", cv2.imread("section.png") // 2), set(GOOD)),
+            (lambda: None, set()),
+        ],
+    )
+    def test_what_changed_is_done_again(self, cohort, change, again):
+        run_batch("in", ["section.png"], "out", DRAFT)
+        change()
+        result = run_batch("in", ["section.png"], "out", DRAFT)
+        assert {name for name, state in states(result).items() if state == "done"} == again
+
+    def test_other_settings_or_version(self, cohort, monkeypatch):
+        run_batch("in", ["section.png"], "out", DRAFT)
+        other = Settings(preset="draft", features="embedded", device="cpu", luminance="paper")
+        assert states(run_batch("in", ["section.png"], "out", other)) == expected_states("done")
+        assert_whole(Path("out"), other)
+        monkeypatch.setattr(batch, "__version__", "99")
+        assert states(run_batch("in", ["section.png"], "out", other)) == expected_states("done")
+
+    def test_a_header_whose_data_changed(self, cohort, ct):
+        import SimpleITK as sitk
+
+        shutil.rmtree("in")
+        Path("in").mkdir()
+        for array, state in (
+            (ct.volume.array[3:5], "done"),
+            (ct.volume.array[3:5], "skipped"),
+            (ct.volume.array[4:6], "done"),
+        ):
+            sitk.WriteImage(sitk.GetImageFromArray(array), "in/v.mhd")
+            result = run_batch("in", ["section.png"], "out", DRAFT)
+            assert states(result) == {"v.mhd": state} and result.passed_over == {".raw": 1}
+
+    def test_equal_runs_write_equal_files(self, cohort):
+        run_batch("in", ["section.png"], "one", DRAFT)
+        run_batch("in", ["section.png"], "two", DRAFT)
+        one, two = ({n: d for n, d in tree(Path(f)).items() if n.endswith("nrrd")} for f in ("one", "two"))
+        assert one == two and len(one) == 4
+
+    def test_interrupted_inside_a_volume(self, cohort, monkeypatch):
+        """The finished one is skipped, the broken-off one goes on from its matches, no temporary file is left."""
+        colors, calls = vote.matched_colors, []
+
+        def interrupting(*arguments):
+            calls.append(1)
+            if len(calls) == 8:  # batches of one slice: the fourth of the second volume
+                raise KeyboardInterrupt
+            return colors(*arguments)
+
+        one_by_one = Settings(preset="draft", features="embedded", device="cpu", batch=1)
+        with monkeypatch.context() as patch:
+            patch.setattr(vote, "matched_colors", interrupting)
+            with pytest.raises(KeyboardInterrupt):
+                run_batch("in", ["section.png"], "out", one_by_one)
+        summary = json.loads(Path("out/batch.json").read_text())
+        assert summary["counts"] == {"done": 1, "not reached": 4}
+        assert not [name for name in tree(Path("out")) if "colored" in name and not name.startswith("a-")]
+        result = run_batch("in", ["section.png"], "out", one_by_one)
+        by_name = {outcome.volume: outcome for outcome in result.outcomes}
+        assert by_name["a.nrrd"].state == "skipped" and by_name["b/c.nrrd"].resumed_slices == 3
+        assert "3 slices from an interrupted run" in result.text()
+        assert_whole(Path("out"), one_by_one)
+
+    def test_a_bug_in_one_volume_is_listed(self, cohort, monkeypatch):
+        def failing(path):
+            raise ZeroDivisionError("by\nzero")
+
+        monkeypatch.setattr(batch, "read_volume", failing)
+        result = run_batch("in", ["section.png"], "out", DRAFT)
+        assert {outcome.reason for outcome in result.outcomes} == {"ZeroDivisionError: by zero"} and result.failed == 5
+
+    @pytest.mark.parametrize(
+        ("changes", "error", "message"),
+        [
+            ({"references": ["missing.png"]}, InputError, "missing.png"),
+            ({"references": ["in/notes.txt"]}, InputError, "not a picture"),
+            ({"references": []}, InputError, "references: none given"),
+            ({"workers": 0}, SettingsError, "workers: expected a whole number of at least 1, got 0"),
+            ({"output_folder": "section.png/out"}, OutputError, "section.png/out: cannot be made"),
+        ],
+    )
+    def test_what_concerns_all_is_said_before_any(self, cohort, changes, error, message):
+        arguments = {
+            "folder": "in",
+            "references": ["section.png"],
+            "output_folder": "out",
+            "settings": DRAFT,
+            **changes,
+        }
+        with pytest.raises(error, match=message):
+            run_batch(**arguments)
+        assert not Path("out").exists()
+
+    def test_worker_of_another_version_or_with_other_weights(self, cohort, monkeypatch):
+        task = make_tasks(find_volumes("in", "out"), ["section.png"], "out", DRAFT, 0)[0]
+        with monkeypatch.context() as patch:
+            patch.setattr(batch, "weights_sha256", lambda _: "other")
+            with pytest.raises(Exception, match="features embedded: the worker has other weights"):
+                color_file(task)
+        monkeypatch.setattr(batch, "__version__", "99")
+        with pytest.raises(SettingsError, match="the worker has MedColor 99, the batch was started with"):
+            color_file(task)
+
+
+@pytest.mark.usefixtures("small_raster")
+class TestCommandLine:
+    def test_exit_status_and_table(self, cohort, capsys):
+        assert main(["batch", "in", *OPTIONS, "-o", "out"]) == 1
+        text = capsys.readouterr().out
+        assert "broken.nrrd  failed " in text and "4 of 5 volumes are finished; see out/batch.json" in text
+        Path("in/broken.nrrd").unlink()
+        assert main(["batch", "in", *OPTIONS, "-o", "out"]) == 0
+        assert capsys.readouterr().out.count("finished before") == 4
+
+    def test_options_are_those_of_colorize(self, cohort):
+        assert main(["batch", "in", *OPTIONS, "-o", "out", "--window", "-200", "300", "--slices", "1:3"]) == 1
+        said = json.loads(Path("out/batch.json").read_text())["settings"]
+        assert (said["window"], said["slices"]) == ([-200, 300], [1, 3])
+
+    def test_ctrl_c(self, cohort, monkeypatch, capfd):
+        def interrupted(*_):
+            raise KeyboardInterrupt
+
+        monkeypatch.setattr(vote, "matched_colors", interrupted)
+        assert main(["batch", "in", *OPTIONS, "-o", "out"]) == 130
+        assert capfd.readouterr().err == "medcolor: interrupted; finished volumes are kept, the same command goes on\n"
+
+    @pytest.mark.parametrize(
+        ("options", "message"),
+        [
+            (("--workers", "2", "--scheduler", "x"), "not allowed with argument --workers"),
+            (("--workers", "0"), "workers: expected a whole number of at least 1"),
+            (("--scheduler", "nowhere"), "scheduler nowhere: no Dask scheduler answers"),
+            (("--resume-limit", "-2"), "--resume-limit: expected 0 GB or more, got -2"),
+        ],
+    )
+    def test_wrong_options(self, cohort, options, message, capsys):
+        try:
+            status = main(["batch", "in", *OPTIONS, "-o", "out", *options])
+        except SystemExit as end:
+            status = end.code
+        assert status == 2 and message in capsys.readouterr().err
+
+
+def tasks_of(folder: Path, *what: str) -> list[dict]:
+    return [{"name": f"task{n}", "do": do, "seen": str(folder / "seen")} for n, do in enumerate(what)]
+
+
+def seen_in(folder: Path) -> list[str]:
+    return sorted((folder / "seen").read_text().splitlines())
+
+
+class TestWorkers:
+    def test_here(self, tmp_path):
+        results = dict(run_here(work, tasks_of(tmp_path, "", "raise", ""), lambda *_: None))
+        assert (results[0], results[2]) == ("TASK0", "TASK2") and isinstance(results[1], ValueError)
+
+    @pytest.mark.slow
+    def test_a_killed_process_loses_nothing_of_others(self, tmp_path):
+        tasks = tasks_of(tmp_path, "", "die once", "raise", "", "die", "")
+        results = dict(run_processes(work, tasks, 2))
+        assert [results[n] for n in (0, 1, 3, 5)] == ["TASK0", "TASK1", "TASK3", "TASK5"]
+        assert isinstance(results[2], ValueError) and isinstance(results[4], WorkerLost)
+        assert "killed 3 times" in str(results[4])
+        counts = {"task1": 2, "task4": 3}
+        assert seen_in(tmp_path) == [f"task{n}" for n in range(6) for _ in range(counts.get(f"task{n}", 1))]
+
+    def test_stopped_when_the_caller_stops_asking(self, tmp_path):
+        ended = run_processes(work, tasks_of(tmp_path, "", "wait", "wait", "wait"), 2)
+        assert next(ended) == (0, "TASK0")
+        while len(seen_in(tmp_path)) < 3:
+            time.sleep(0.01)
+        ended.close()
+        assert (
+            seen_in(tmp_path) == ["stopped", "stopped", "task0", "task1", "task2"]
+            and not multiprocessing.active_children()
+        )
+
+    def test_cores_are_shared_out(self, monkeypatch):
+        monkeypatch.setattr(batch_workers, "_cores", lambda: 7)
+        assert dict(run_processes(threads_of, [None] * 2, 5)) == {0: 3, 1: 3}
+
+
+def threads_of(_task, progress=None, cancelled=None) -> int:
+    import torch
+
+    return torch.get_num_threads()
+
+
+@pytest.fixture
+def killer(cohort):
+    """Kills one process, given by a function, as soon as matches of a volume are on disk; says how many it killed."""
+    killed = []
+
+    def start(victim) -> list:
+        def watch() -> None:
+            while not list(Path("out").glob(".unfinished/*/*.safetensors")):
+                time.sleep(0.002)
+            pid = victim()
+            os.kill(pid, signal.SIGKILL)
+            killed.append(pid)
+
+        threading.Thread(target=watch, daemon=True).start()
+        return killed
+
+    return start
+
+
+@pytest.mark.slow
+class TestKilledInTheMiddle:
+    """Whole volumes on the raster of the preset, in other processes."""
+
+    @pytest.fixture(autouse=True)
+    def one_by_one(self, monkeypatch):
+        self.settings = Settings(preset="draft", features="embedded", device="cpu", batch=1)
+
+    def test_a_worker_of_the_pool(self, cohort, killer, caplog):
+        killed = killer(lambda: multiprocessing.active_children()[0].pid)
+        result = run_batch("in", ["section.png"], "out", self.settings, workers=2)
+        assert states(result) == expected_states("done") and len(killed) == 1
+        assert [r.getMessage() for r in caplog.records] == [
+            "batch: a worker process was killed; its volume is done again"
+        ]
+        assert_whole(Path("out"), self.settings)
+
+    def test_a_worker_of_a_cluster(self, cohort, killer):
+        distributed = pytest.importorskip("distributed")
+        with distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None, silence_logs=60
+        ) as cluster:
+            busy = lambda: next(iter(cluster.workers.values())).pid  # noqa: E731 (asked when it is time)
+            killed = killer(busy)
+            result = run_batch("in", ["section.png"], "out", self.settings, scheduler=cluster.scheduler_address)
+            assert states(result) == expected_states("done") and len(killed) == 1
+            assert_whole(Path("out"), self.settings)
+            again = run_batch("in", ["section.png"], "out", self.settings, scheduler=cluster.scheduler_address)
+            assert states(again) == expected_states("skipped")
+
+    @pytest.mark.skipif(not Path("/proc/self").exists(), reason="children are found in /proc")
+    def test_the_whole_command(self, cohort):
+        """Its workers end with it; the next run finishes what is left."""
+        command = [sys.executable, "-m", "MedColorLib", "batch", "in", *OPTIONS, "-o", "out", "--workers", "2"]
+        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+        run = subprocess.Popen(command, env=environment)
+        while not list(Path("out").glob("*-colored.json")):
+            assert run.poll() is None
+            time.sleep(0.002)
+        children = [int(pid) for pid in Path(f"/proc/{run.pid}/task/{run.pid}/children").read_text().split()]
+        run.kill()
+        run.wait()
+        while any(alive(pid) for pid in children):
+            time.sleep(0.01)
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+        assert done.returncode == 1 and "finished before" in done.stdout and "4 of 5 volumes" in done.stdout
+        assert_whole(Path("out"), self.as_said())
+
+    def test_ctrl_c_reaches_all_processes(self, cohort):
+        """As a terminal sends it. Every process ends by itself; a temporary file is nowhere; the same command goes on."""
+        command = [sys.executable, "-m", "MedColorLib", "batch", "in", *OPTIONS, "-o", "out", "--workers", "2"]
+        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+        run = subprocess.Popen(command, env=environment, start_new_session=True, **pipes)
+        while not list(Path("out").rglob("*-colored.json")):
+            assert run.poll() is None
+            time.sleep(0.002)
+        os.killpg(run.pid, signal.SIGINT)
+        printed, said = run.communicate()
+        assert run.returncode == 130 and printed == ""
+        assert said.splitlines()[-1] == "medcolor: interrupted; finished volumes are kept, the same command goes on"
+        assert "Traceback" not in said and not [n for n in tree(Path("out")) if "-unfinished-" in n or ".part" in n]
+        assert json.loads(Path("out/batch.json").read_text())["counts"]["not reached"] > 0
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+        assert done.returncode == 1 and "finished before" in done.stdout
+        assert_whole(Path("out"), self.as_said())
+
+    def as_said(self) -> Settings:
+        """The settings that the summary names."""
+        return Settings.from_dict(json.loads(Path("out/batch.json").read_text())["settings"])
+
+
+def alive(pid: int) -> bool:
+    """Running, not a zombie that nobody has asked for."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+class TestCluster:
+    def test_no_scheduler_answers(self, monkeypatch):
+        pytest.importorskip("distributed")
+        monkeypatch.setattr(batch_workers, "CONNECT_SECONDS", 1)
+        for address in ("tcp://127.0.0.1:1", "nonsense://x", "x"):
+            with pytest.raises(DeviceError, match=f"scheduler {address}: no Dask scheduler answers there within 1 s"):
+                run_on_cluster(work, [], address)
+
+    def test_stopped_when_the_caller_stops_asking(self, tmp_path):
+        distributed = pytest.importorskip("distributed")
+        with distributed.LocalCluster(
+            n_workers=1,
+            threads_per_worker=2,
+            processes=False,
+            protocol="tcp",
+            host="127.0.0.1",
+            dashboard_address=None,
+            silence_logs=60,
+        ) as cluster:
+            ended = run_on_cluster(work, tasks_of(tmp_path, "raise", "wait"), cluster.scheduler_address)
+            number, error = next(ended)
+            assert number == 0 and isinstance(error, ValueError)
+            ended.close()
+            while "stopped" not in seen_in(tmp_path):
+                time.sleep(0.01)
+        assert seen_in(tmp_path) == [*["stopped"], *["task0"] * (1 + batch_workers.RETRIES), "task1"]
+
+    def test_no_worker(self, monkeypatch):
+        distributed = pytest.importorskip("distributed")
+        monkeypatch.setattr(batch_workers, "CONNECT_SECONDS", 1)
+        with (
+            distributed.LocalCluster(
+                n_workers=0, processes=False, host="127.0.0.1", protocol="tcp", dashboard_address=None, silence_logs=60
+            ) as cluster,
+            pytest.raises(DeviceError, match="has no workers; start one with 'dask worker tcp"),
+        ):
+            run_on_cluster(work, [], cluster.scheduler_address)
+
+    def test_dask_is_not_installed(self, monkeypatch):
+        monkeypatch.setitem(sys.modules, "distributed", None)
+        with pytest.raises(MissingPackageError, match=r"run: pip install 'medcolor\[cluster\]'"):
+            run_on_cluster(work, [], "tcp://127.0.0.1:1")

@@ -1,0 +1,452 @@
+"""Resume: a run broken off anywhere gives the same bytes when it goes on, and does nothing twice."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import logging
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import save_file
+from volume_samples import save_nrrd
+
+from MedColorLib import Resume, Settings, Volume, analogy, colorize, forget_run, make_plan, read_color_volume, vote
+from MedColorLib import resume as resume_module
+from MedColorLib.cli import main
+from MedColorLib.errors import Cancelled, SettingsError
+from MedColorLib.phantom import section
+from MedColorLib.prepare import prepare
+from MedColorLib.resume import RunStore, run_key
+
+ROOT = Path(__file__).resolve().parents[2]
+KINDS = {
+    "draft": {"preset": "draft"},
+    "full": {"preset": "full"},
+    "guided": {"preset": "draft", "smoother": "guided"},
+    "one by one": {"preset": "draft", "batch": 1},
+}
+
+
+def settings(**changes) -> Settings:
+    return Settings(
+        **{"preset": "draft", "features": "embedded", "device": "cpu", "batch": 2, "coherence_mm": 20.0, **changes}
+    )
+
+
+@pytest.fixture
+def volume(ct) -> Volume:
+    """Nine slices of 16 mm; the sixth repeats the fifth."""
+    array = np.insert(ct.volume.array[2:10], 5, ct.volume.array[6], 0)
+    return Volume(array, ct.volume.ijk_to_ras, name="Doe^Jane")
+
+
+@pytest.fixture
+def references() -> list[np.ndarray]:
+    return [section(-0.45), section(0.55)]
+
+
+@pytest.fixture
+def matched(monkeypatch) -> list[int]:
+    """Fills with the number of slices of every match that goes to the last layer."""
+    counts, match = [], analogy.deep_image_analogy
+
+    def counted(*arguments, **options):
+        if "keep_reverse" in options:
+            counts.append(len(arguments[0][5]))
+        return match(*arguments, **options)
+
+    monkeypatch.setattr(analogy, "deep_image_analogy", counted)
+    return counts
+
+
+def broken_off(after: int, *arguments, resume) -> None:
+    """Cancel before step `after` of the run."""
+    steps = []
+    with pytest.raises(Cancelled):
+        colorize(
+            *arguments,
+            progress=lambda fraction, text: steps.append(text),
+            cancelled=lambda: len(steps) >= after,
+            resume=resume,
+        )
+
+
+def files_of(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.rglob("*") if path.is_file())
+
+
+@pytest.mark.usefixtures("small_raster")
+class TestSameBytes:
+    @pytest.mark.parametrize("kind", KINDS)
+    def test_cancelled_before_any_step(self, volume, references, kind, matched, tmp_path):
+        """Steps: prepare, network, then the batches; two references and a repeated slice cut these short."""
+        chosen = settings(**KINDS[kind])
+        plain = colorize(volume, references, chosen)
+        batches, total = list(matched), len(matched)
+        assert sum(batches) == 8 and len(set(plain.report["reference_of_slice"].values())) == 2
+        steps = total + 3  # the repeat is a step without a match
+        for after in range(steps) if kind == "draft" else (1, steps // 2, steps - 1):
+            matched.clear()
+            folder = tmp_path / str(after)
+            broken_off(after, volume, references, chosen, resume=folder)
+            result = colorize(volume, references, chosen, resume=folder)
+            assert matched == batches, "nothing twice, and in the batches of the plain run"
+            assert result.rgb.tobytes() == plain.rgb.tobytes()
+            for name in ("searched", "trusted_fraction", "out_of_gamut_pixels", "contrast_agreement"):
+                assert result.report[name] == plain.report[name]
+        assert result.report["resumed_slices"] > 4
+
+    def test_slices_between_two_references(self, volume, matched, tmp_path):
+        """They are matched with both; every match is kept, and a slice counts where none of them was made again."""
+        series = [section(level) for level in (-0.8, -0.45, 0.1, 0.6)]
+        plain = colorize(volume, series, settings(batch=1))
+        total = sum(matched)
+        assert plain.report["blended_slices"] and total > 8
+        steps = []
+        colorize(volume, series, settings(batch=1), progress=lambda _, text: steps.append(text))
+        for after in range(3, len(steps), 3):
+            matched.clear()
+            broken_off(after, volume, series, settings(batch=1), resume=tmp_path / str(after))
+            result = colorize(volume, series, settings(batch=1), resume=tmp_path / str(after))
+            assert sum(matched) == total and result.rgb.tobytes() == plain.rgb.tobytes()
+            assert 0 < result.report["resumed_slices"] < 9
+
+    def test_broken_off_again_and_again(self, volume, references, matched, tmp_path):
+        plain = colorize(volume, references, settings(batch=1))
+        matched.clear()
+        for after in (3, 4, 6, 6, 9):
+            broken_off(after, volume, references, settings(batch=1), resume=tmp_path)
+        result = colorize(volume, references, settings(batch=1), resume=tmp_path)
+        assert matched == [1] * 8 and result.rgb.tobytes() == plain.rgb.tobytes()
+
+    def test_ended_by_an_error(self, volume, references, matched, tmp_path, monkeypatch):
+        plain, colors, calls = colorize(volume, references, settings()), vote.matched_colors, []
+        matched.clear()
+
+        def failing(*arguments):
+            calls.append(1)
+            if len(calls) == 3:
+                raise RuntimeError("power cut")
+            return colors(*arguments)
+
+        monkeypatch.setattr(vote, "matched_colors", failing)
+        with pytest.raises(RuntimeError, match="power cut"):
+            colorize(volume, references, settings(), resume=tmp_path)
+        result = colorize(volume, references, settings(), resume=tmp_path)
+        assert result.rgb.tobytes() == plain.rgb.tobytes()
+        assert result.report["resumed_slices"] == sum(matched[:2]) > 0
+
+    def test_nothing_of_a_whole_run_is_matched_again(self, volume, references, matched, tmp_path):
+        """Killed while the result was being written, for instance."""
+        first = colorize(volume, references, settings(), resume=tmp_path)
+        matched.clear()
+        second = colorize(volume, references, settings(), resume=tmp_path)
+        assert not matched and second.rgb.tobytes() == first.rgb.tobytes()
+        assert (first.report["resumed_slices"], second.report["resumed_slices"]) == (0, 8)
+
+    def test_every_value_of_a_match_comes_back(self, tmp_path, rng):
+        store = RunStore(Resume(tmp_path), "k" * 64)
+        match = analogy.Match(
+            layer=3,
+            field=torch.from_numpy(rng.integers(0, 65536, (2, 5, 4))),
+            similarity=torch.rand(2, 5, 4),
+            reverse=torch.from_numpy(rng.integers(0, 65536, (2, 6, 4))),
+            searched={5: "exact", 4: "windowed"},
+        )
+        for changes in ({}, {"reverse": None}, {"similarity": torch.rand(2, 5, 4).to(torch.bfloat16)}):
+            given = dataclasses.replace(match, **changes)
+            store.save([7, 9], 2, given)
+            back = store.load([7, 9], 2, "cpu")
+            for field in dataclasses.fields(given):
+                one, other = getattr(given, field.name), getattr(back, field.name)
+                if isinstance(one, torch.Tensor):
+                    assert one.dtype == other.dtype and torch.equal(one, other)
+                else:
+                    assert one == other
+        assert store.load([7, 9], 1, "cpu") is store.load([7, 8], 2, "cpu") is store.load([7], 2, "cpu") is None
+
+
+@pytest.mark.usefixtures("small_raster")
+class TestWhoseMatches:
+    @pytest.mark.parametrize(
+        "changes",
+        [
+            {"seed": 1},
+            {"window": (-200.0, 300.0)},
+            {"smoother": "guided"},
+            {"coherence_mm": 0.0},
+            {"batch": 3},
+            {"preset": "balanced"},
+            {"slices": (1, 5)},
+            {"region": ((0, 9), (0, 30), (0, 56))},
+            {"plane": "acquired"},
+        ],
+        ids=str,
+    )
+    def test_another_setting(self, volume, references, changes):
+        keys = {run_key(prepare(volume, references, settings(**given))) for given in ({}, {}, changes)}
+        assert len(keys) == 2
+
+    def test_another_input(self, volume, references):
+        other = volume.array.copy()
+        other[0, 0, 0] += 1
+        longer = volume.ijk_to_ras @ np.diag([1, 1, 1.01, 1])
+        inputs = [
+            (volume, references),
+            (dataclasses.replace(volume, array=other), references),
+            (dataclasses.replace(volume, ijk_to_ras=longer), references),
+            (dataclasses.replace(volume, window=(0.0, 80.0)), references),
+            (dataclasses.replace(volume, array=volume.array.astype(np.int32)), references),
+            (volume, references[::-1]),
+            (volume, references[:1]),
+        ]
+        assert len({run_key(prepare(*given, settings())) for given in inputs}) == len(inputs)
+        fortran = dataclasses.replace(volume, array=np.asfortranarray(volume.array), name="other name")
+        assert run_key(prepare(fortran, references, settings())) == run_key(prepare(volume, references, settings()))
+
+    @pytest.mark.parametrize("name", ["weights_sha256", "_code_sha256"])
+    def test_other_weights_or_code(self, volume, references, name, monkeypatch):
+        before = run_key(prepare(volume, references, settings()))
+        monkeypatch.setattr(resume_module, name, lambda *_: "other")
+        assert run_key(prepare(volume, references, settings())) != before
+
+    def test_other_threads_round_differently(self, volume, references, monkeypatch):
+        before = run_key(prepare(volume, references, settings()))
+        monkeypatch.setattr(torch, "get_num_threads", lambda: 77)
+        assert run_key(prepare(volume, references, settings())) != before
+
+    def test_matches_of_other_settings_are_not_taken_up(self, volume, references, tmp_path):
+        broken_off(4, volume, references, settings(), resume=tmp_path)
+        other = settings(window=(-200.0, 300.0))
+        result = colorize(volume, references, other, resume=tmp_path)
+        assert result.report["resumed_slices"] == 0
+        assert result.rgb.tobytes() == colorize(volume, references, other).rgb.tobytes()
+
+
+def truncate(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-100])
+
+
+def flip(path: Path) -> None:
+    data = bytearray(path.read_bytes())
+    data[-10] ^= 1
+    path.write_bytes(data)
+
+
+def strange(path: Path) -> None:
+    save_file({"field": torch.zeros(2, 16, 16, dtype=torch.int32)}, str(path))
+
+
+@pytest.mark.usefixtures("small_raster")
+class TestStore:
+    @pytest.mark.parametrize(
+        "damage",
+        [truncate, flip, strange, lambda path: path.write_bytes(b""), lambda path: path.write_bytes(b"{" * 99)],
+    )
+    def test_damaged_file_is_matched_again(self, volume, references, damage, matched, tmp_path, caplog):
+        plain = colorize(volume, references, settings())
+        broken_off(5, volume, references, settings(), resume=tmp_path)
+        first = files_of(tmp_path)[0]
+        damage(first)
+        matched.clear()
+        with caplog.at_level(logging.WARNING, "MedColor"):
+            result = colorize(volume, references, settings(), resume=tmp_path)
+        assert len(caplog.records) == 1 and "slices 0 to 1 are matched again" in caplog.text
+        assert "damaged" in caplog.text and str(tmp_path) not in caplog.text
+        assert result.rgb.tobytes() == plain.rgb.tobytes()
+        assert result.report["resumed_slices"] == 8 - sum(matched) == 3
+        again = colorize(volume, references, settings(), resume=tmp_path)
+        assert again.report["resumed_slices"] == 8, "the damaged file was replaced"
+
+    def test_folder_that_cannot_be_written(self, volume, references, tmp_path, caplog):
+        (tmp_path / "file").write_text("in the way")
+        plain = colorize(volume, references, settings())
+        with caplog.at_level(logging.WARNING, "MedColor"):
+            result = colorize(volume, references, settings(), resume=tmp_path / "file")
+        assert [record.getMessage() for record in caplog.records] == [
+            "resume: the folder of unfinished runs cannot be written (Not a directory); what is matched from here on "
+            "cannot be resumed"
+        ]
+        assert "cannot be written" in result.report["resume_problem"]
+        assert result.rgb.tobytes() == plain.rgb.tobytes()
+
+    def test_disk_full_leaves_no_part(self, volume, references, tmp_path, monkeypatch, caplog):
+        def full(*_):
+            raise OSError(28, "No space left on device")
+
+        with monkeypatch.context() as patch:
+            patch.setattr(resume_module.os, "replace", full)
+            result = colorize(volume, references, settings(), resume=tmp_path)
+        assert "No space left" in result.report["resume_problem"] and not files_of(tmp_path)
+
+    def test_limit_ends_the_keeping(self, volume, references, tmp_path, caplog):
+        broken_off(3, volume, references, settings(), resume=tmp_path / "one")
+        size = files_of(tmp_path / "one")[0].stat().st_size
+        limited = Resume(tmp_path / "limited", int(2.5 * size))
+        with caplog.at_level(logging.WARNING, "MedColor"):
+            result = colorize(volume, references, settings(), resume=limited)
+        assert sum("limit" in record.getMessage() for record in caplog.records) == 1
+        assert "limit" in result.report["resume_problem"]
+        kept = files_of(limited.folder)
+        assert kept and sum(path.stat().st_size for path in kept) <= limited.max_bytes
+        assert colorize(volume, references, settings(), resume=limited).report["resumed_slices"] > 0
+
+    def test_limit_deletes_the_oldest_run_first(self, volume, references, tmp_path, caplog):
+        limits = [settings(seed=seed) for seed in range(3)]
+        keys = [run_key(prepare(volume, references, given)) for given in limits]
+        for age, key, given in zip((300, 200), keys, limits):
+            broken_off(4, volume, references, given, resume=tmp_path)
+            then = time.time() - age
+            os.utime(tmp_path / key, (then, then))
+        total = sum(path.stat().st_size for path in files_of(tmp_path))
+        with caplog.at_level(logging.WARNING, "MedColor"):
+            broken_off(3, volume, references, limits[2], resume=Resume(tmp_path, total))
+        assert sorted(path.name for path in tmp_path.iterdir()) == sorted(keys[1:])
+        assert "an older interrupted run was deleted" in caplog.text
+
+    def test_another_run_makes_room_meanwhile(self, tmp_path):
+        store = RunStore(Resume(tmp_path / "runs"), "k" * 64)
+        match = analogy.Match(3, torch.zeros(1, 2, 2, dtype=torch.int64), torch.zeros(1, 2, 2), None, {3: "exact"})
+        store.save([1], 0, match)
+        resume_module.shutil.rmtree(tmp_path / "runs")
+        store.save([2], 0, match)
+        assert store.problem is None and store.load([2], 0, "cpu") is not None
+
+    def test_forgotten_when_the_result_is_safe(self, volume, references, tmp_path):
+        broken_off(4, volume, references, settings(seed=5), resume=tmp_path)
+        result = colorize(volume, references, settings(), resume=tmp_path)
+        forget_run(result.report, tmp_path)
+        assert [path.name for path in tmp_path.iterdir()] == [run_key(prepare(volume, references, settings(seed=5)))]
+        forget_run(result.report, tmp_path)
+        forget_run(colorize(volume, references, settings()).report, tmp_path)
+        assert len(list(tmp_path.iterdir())) == 1
+
+    def test_no_name_in_it(self, volume, references, tmp_path):
+        broken_off(5, volume, references, settings(), resume=tmp_path)
+        assert files_of(tmp_path)
+        for path in files_of(tmp_path):
+            assert b"Doe" not in path.read_bytes() and "Doe" not in str(path.relative_to(tmp_path))
+
+    def test_small_beside_the_volume(self, volume, references, tmp_path):
+        """At layer 3 of 64 pixels: 16 x 16 positions each way in 4 bytes, their similarity, one header a batch."""
+        colorize(volume, references, settings(batch=1), resume=tmp_path)
+        assert all(path.stat().st_size < 16 * 16 * 4 * 4 + 1000 for path in files_of(tmp_path))
+
+    @pytest.mark.parametrize("limit", [-1, 1.5, True, None])
+    def test_wrong_limit(self, limit):
+        with pytest.raises(SettingsError, match="resume: expected a limit of 0 bytes or more"):
+            Resume(max_bytes=limit)
+
+    def test_default_folder_is_beside_the_weights(self, monkeypatch, tmp_path):
+        monkeypatch.setattr("MedColorLib.features.weights.cache_folder", lambda: tmp_path / "weights")
+        assert Resume().root == tmp_path / "runs" and Resume(tmp_path).root == tmp_path
+
+
+@pytest.mark.usefixtures("small_raster")
+class TestSaid:
+    def test_in_plan_log_and_report(self, volume, references, tmp_path, caplog):
+        def left_out(plan):
+            return [entry.saving for entry in plan.left_out if entry.what == "matching done before"]
+
+        assert left_out(make_plan(volume, references, settings(), tmp_path)) == []
+        broken_off(4, volume, references, settings(), resume=tmp_path)
+        assert left_out(make_plan(volume, references, settings(), tmp_path)) == ["3 of 9 slices"]
+        assert left_out(make_plan(volume, references, settings())) == []
+        with caplog.at_level(logging.INFO, "MedColor"):
+            report = colorize(volume, references, settings(), resume=tmp_path).report
+        assert "an interrupted run left 3 slices matched" in caplog.text
+        assert report["resumed_slices"] == 3 and report["resume_problem"] is None
+        assert [e["saving"] for e in report["plan"]["left_out"] if e["what"] == "matching done before"] == [
+            "3 of 9 slices"
+        ]
+
+    def test_without_resume_nothing_is_kept(self, volume, references, tmp_path, monkeypatch):
+        monkeypatch.setattr("MedColorLib.features.weights.cache_folder", lambda: tmp_path / "weights")
+        report = colorize(volume, references, settings()).report
+        assert not files_of(tmp_path)
+        assert (report["resumed_slices"], report["resume_run"], report["resume_problem"]) == (0, None, None)
+
+
+@pytest.fixture
+def case(ct, tmp_path, monkeypatch) -> Path:
+    """Working folder with a volume, a reference and a cache of its own."""
+    save_nrrd(tmp_path / "ct.nrrd", ct.volume.array, ct.volume.ijk_to_ras)
+    cv2.imwrite(str(tmp_path / "section.png"), ct.reference[..., ::-1])
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.delenv("MEDCOLOR_WEIGHTS", raising=False)
+    monkeypatch.setattr(
+        "MedColorLib.features.weights.cache_folder", lambda: tmp_path / "cache" / "MedColor" / "weights"
+    )
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+LINE = ("colorize", "ct.nrrd", "-r", "section.png", "--preset", "draft", "--features", "embedded", "--device", "cpu")
+
+
+@pytest.mark.usefixtures("small_raster")
+class TestCommandLine:
+    def test_ctrl_c_and_on(self, case, monkeypatch, capfd):
+        colors, calls = vote.matched_colors, []
+
+        def interrupting(*arguments):
+            calls.append(1)
+            if len(calls) == 2:
+                raise KeyboardInterrupt
+            return colors(*arguments)
+
+        assert main([*LINE, "-o", "plain.nrrd"]) == 0
+        monkeypatch.setattr(vote, "matched_colors", interrupting)
+        assert main([*LINE, "-o", "out.nrrd", "--resume"]) == 130
+        assert capfd.readouterr().err == (
+            "medcolor: interrupted; nothing was written; the same command goes on from there (--resume)\n"
+        )
+        assert main([*LINE, "--resume", "--plan"]) == 0
+        assert "saves 4 of 12 slices" in capfd.readouterr().out
+        assert main([*LINE, "-o", "out.nrrd", "--resume", "--report", "r.json"]) == 0
+        assert "4 slices were matched in an interrupted run before" in capfd.readouterr().out
+        assert json.loads(Path("r.json").read_text())["resumed_slices"] == 4
+        assert Path("out.nrrd").read_bytes() == Path("plain.nrrd").read_bytes()
+        assert not files_of(case / "cache")
+
+    def test_kept_until_the_result_is_written(self, case, monkeypatch):
+        def interrupted(*_, **__):
+            raise KeyboardInterrupt
+
+        with monkeypatch.context() as patch:
+            patch.setattr("nrrd.write", interrupted)
+            assert main([*LINE, "-o", "out.nrrd", "--resume"]) == 130
+        assert main([*LINE, "-o", "out.nrrd", "--resume", "--report", "r.json"]) == 0
+        assert json.loads(Path("r.json").read_text())["resumed_slices"] == 12
+
+    @pytest.mark.parametrize("limit", ["-1", "nan", "inf"])
+    def test_wrong_limit(self, case, limit, capfd):
+        assert main([*LINE, "-o", "out.nrrd", "--resume", f"--resume-limit={limit}"]) == 2
+        assert "--resume-limit: expected 0 GB or more" in capfd.readouterr().err
+
+
+@pytest.mark.slow
+def test_killed_in_the_middle(case):
+    """SIGKILL leaves no time to tidy up; the real command, three processes."""
+    command = [sys.executable, "-m", "MedColorLib", *LINE]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    subprocess.run([*command, "-o", "plain.nrrd"], check=True, env=environment)
+    run = subprocess.Popen([*command, "-o", "out.nrrd", "--resume"], env=environment)
+    while not list((case / "cache").rglob("*.safetensors")):
+        assert run.poll() is None, "ended before anything was kept"
+        time.sleep(0.001)
+    run.kill()
+    assert run.wait() == -signal.SIGKILL and not Path("out.nrrd").exists()
+    done = subprocess.run([*command, "-o", "out.nrrd", "--resume", "--report", "r.json"], check=True, env=environment)
+    assert done.returncode == 0 and 0 < json.loads(Path("r.json").read_text())["resumed_slices"] < 12
+    np.testing.assert_array_equal(read_color_volume("out.nrrd").rgb, read_color_volume("plain.nrrd").rgb)
+    assert not list((case / "cache").rglob("*.safetensors"))
