@@ -9,6 +9,8 @@ import numpy as np
 from .errors import InputError
 from .grid import Grid, continue_outwards, to_grid
 
+PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")  # of files in a folder of references
+
 
 @dataclass(frozen=True)
 class Reference:
@@ -19,12 +21,16 @@ class Reference:
         mask: (h, w) bool, True where the pixel is tissue.
         name: label for reports (file name without folder).
         removed: fraction of the photograph that is not tissue.
+        group: the folder, library or colour volume that it is one of many of, for the plan.
+        credit: whom to name with a result.
     """
 
     rgb: np.ndarray
     mask: np.ndarray
     name: str
     removed: float
+    group: str = ""
+    credit: str = ""
 
 
 def read_picture(path: str) -> np.ndarray:

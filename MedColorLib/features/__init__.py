@@ -11,13 +11,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
 
 from ..errors import SettingsError, WeightsError
 
 if TYPE_CHECKING:
     from torch import Tensor
+
+_DESCRIBED_TOGETHER = 16  # pictures that go through the network at once
 
 EXTRACTORS = ("embedded", "vgg19", "gray-vgg19")
 
@@ -89,3 +94,27 @@ def make_extractor(name: str, device: str = "cpu") -> Extractor:
     from .gray_vgg19 import GrayVGG19
 
     return GrayVGG19(weights, device=device)
+
+
+def unit_descriptors(extractor: Extractor, greys: Iterable[np.ndarray], device: str = "cpu") -> np.ndarray:
+    """Describe pictures for comparison by scalar product, which is then the cosine similarity.
+
+    Args:
+        greys: n planes (H, W), display grey 0..1, on one grid; taken a few at a time.
+
+    Returns:
+        (n, D) float32, rows of length 1 (0 for a picture without any feature).
+    """
+    import torch
+
+    rows, remaining = [], iter(greys)
+    while planes := list(itertools.islice(remaining, _DESCRIBED_TOGETHER)):
+        luminance = torch.from_numpy(np.stack(planes))[:, None].to(device)
+        rows.append(extractor.descriptor(luminance).float().cpu().numpy())
+    return unit_rows(np.concatenate(rows))
+
+
+def unit_rows(table: np.ndarray) -> np.ndarray:
+    """(n, D) rows scaled to length 1, float32; a row of zeros stays one."""
+    table = table.astype(np.float32)
+    return table / np.maximum(np.linalg.norm(table, axis=1, keepdims=True), 1e-12)

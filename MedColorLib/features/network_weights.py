@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import logging
+import math
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -65,21 +66,50 @@ class NetworkWeights:
         for start in range(0, self._shapes[name][0], rows):
             yield start, self._rows(name, slice(start, start + rows))
 
+    def stored_blocks(self, name: str, rows: int = _BLOCK_ROWS) -> Iterator[tuple[int, torch.Tensor]]:
+        """As `row_blocks`, in the type of the file: the matrix is `scale * stored + low`, see `scaling`."""
+        for start in range(0, self._shapes[name][0], rows):
+            yield start, self._stored(name, slice(start, start + rows))
+
+    def scaling(self, name: str) -> tuple[float, float]:
+        """Return scale and low of a quantised tensor; (1, 0) for one that is stored as it is.
+
+        Raises:
+            WeightsError: not in the file, or not finite.
+        """
+        stored = self._name_in_file(name)
+        if not self._identity.quantised:
+            return 1.0, 0.0
+        scale, low = (float(self._checkpoint.read(f"{stored}.{part}")) for part in ("scale", "min"))
+        if not math.isfinite(scale) or not math.isfinite(low):
+            raise WeightsError(f"{self.path.name}: {stored} holds NaN or infinite values; {REMEDY}")
+        return scale, low
+
+    def _name_in_file(self, name: str) -> str:
+        if name not in self:
+            raise WeightsError(f"{self.path.name}: has no {name}; {REMEDY}")
+        return self._identity.names[name]
+
     def _rows(self, name: str, rows: slice | None) -> torch.Tensor:
         import torch
 
-        if name not in self:
-            raise WeightsError(f"{self.path.name}: has no {name}; {REMEDY}")
-        stored = self._identity.names[name]
+        scale, low = self.scaling(name)
+        values = self._stored(name, rows).to(torch.float32)
+        return values.mul_(scale).add_(low) if self._identity.quantised else values
+
+    def _stored(self, name: str, rows: slice | None) -> torch.Tensor:
+        """Rows in the type of the file, checked."""
+        import torch
+
+        stored = self._name_in_file(name)
         values = self._checkpoint.read(stored, rows)
         if self._identity.quantised:
             if values.dtype != torch.uint8:
                 raise WeightsError(f"{self.path.name}: {stored} is {values.dtype} instead of uint8; {REMEDY}")
-            scale, low = (float(self._checkpoint.read(f"{stored}.{part}")) for part in ("scale", "min"))
-            values = values.to(torch.float32).mul_(scale).add_(low)
-        elif not values.is_floating_point():
+            return values
+        if not values.is_floating_point():
             raise WeightsError(f"{self.path.name}: {stored} is {values.dtype} instead of floating point")
-        values = values.to(torch.float32)
+        values = values.to(torch.float32) if values.dtype == torch.float64 else values
         if not torch.isfinite(values).all():
             raise WeightsError(f"{self.path.name}: {stored} holds NaN or infinite values; {REMEDY}")
         return values

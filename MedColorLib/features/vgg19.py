@@ -16,6 +16,7 @@ import torch.nn.functional as F
 from ..device import choose_device
 from ..errors import DeviceError, InputError, SettingsError, WeightsError
 from .architectures import ARCHITECTURES, POOL5_SIDE
+from .dense import DenseLayer
 from .weights import NetworkWeights
 
 _DESCRIPTOR_SIZE = 32 * POOL5_SIDE  # 224 x 224, the size fc6 was trained for
@@ -112,6 +113,7 @@ class VGG19:
         self._weights = weights
         self._depths = ARCHITECTURES[self.name].depths
         self._cast: dict[tuple[str, torch.dtype], tuple[torch.Tensor, torch.Tensor]] = {}
+        self._fc6: DenseLayer | None = None
         self._first = self._on_device(*self._folded_first(), torch.float32)
         for layer in range(1, len(self.strides)):
             for name in self._names_between(layer):
@@ -183,7 +185,7 @@ class VGG19:
         """Describe whole pictures by fc6, for retrieval by cosine similarity.
 
         After the ReLU: that is what Caffe's blob `fc6` holds, the layer's activation being computed in place.
-        The 411 MB of fc6 are read and multiplied in blocks of 256 rows.
+        fc6 is read at the first call and kept, see `DenseLayer`.
 
         Args:
             luminance: (N, 1, H, W) sRGB grey in 0..1; resized to 224 x 224, bilinear with antialiasing.
@@ -196,11 +198,10 @@ class VGG19:
             InputError, DeviceError: as for `extract`.
         """
         pooled = self._pool5(luminance).flatten(1)
-        columns = []
         with torch.no_grad(), _device_memory(self.device, luminance.shape):
-            for _, rows in self._weights.row_blocks("fc6.weight"):
-                columns.append(pooled @ rows.to(self.device).T)
-            return F.relu(torch.cat(columns, dim=1) + self._weights.tensor("fc6.bias").to(self.device))
+            if self._fc6 is None:
+                self._fc6 = DenseLayer(self._weights, "fc6", self.device)
+            return F.relu(self._fc6(pooled))
 
     def _pool5(self, luminance: torch.Tensor) -> torch.Tensor:
         _check_luminance(luminance)

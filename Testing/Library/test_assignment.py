@@ -69,3 +69,86 @@ def test_sections_of_the_phantom_find_their_level():
     own = np.array([levels[engine.choice[k]] for k in slices])
     error = np.abs(own - (slices / 47 * 2 - 1))
     assert np.median(error) < 0.25 and error.max() < 0.6
+
+
+def photographed(grey, mask, rng):
+    """A slice as a photograph of it might look: another order of grey values, bent, a little noise."""
+    import cv2
+
+    seen = np.interp(grey, [0, 0.3, 0.5, 0.7, 1], [0, 0.35, 0.55, 0.45, 0.9]).astype(np.float32) * mask
+    rows, cols = np.mgrid[: grey.shape[0], : grey.shape[1]].astype(np.float32)
+    rows, cols = rows + 6 * np.sin(cols / 40), cols + 6 * np.sin(rows / 50)
+    return cv2.remap(seen + rng.normal(0, 0.01, seen.shape).astype(np.float32) * mask, cols, rows, cv2.INTER_LINEAR)
+
+
+@pytest.fixture(scope="module")
+def head(request):
+    """Greys and masks of the real head's slices on the raster, by slice number."""
+    from MedColorLib import read_volume
+    from MedColorLib.body import find_body
+    from MedColorLib.grid import choose_grid
+    from MedColorLib.intensity import choose_window
+    from MedColorLib.slices import slice_on_grid, slice_order
+
+    volume = read_volume(request.getfixturevalue("shared_data") / "vhf_head_ct.nrrd")
+    view = slice_order(volume.ijk_to_ras).view(volume.array)
+    body = find_body(view)
+    sample = list(range(40, 220, 40))
+    window = choose_window(view[sample], np.stack([body.plane(k) > 0.5 for k in sample]))
+    return {k: slice_on_grid(view, body, window, choose_grid(256), k) for k in range(20, 221, 5)}
+
+
+# per case: slices asked for, reference slices, order of the references
+STACKS = {
+    "whole": (range(20, 221, 5), range(20, 221, 10), 1),
+    "reversed": (range(20, 221, 5), range(20, 221, 10), -1),
+    "part of the series": (range(90, 151, 5), range(20, 221, 10), 1),
+    "series is a part": (range(60, 221, 5), range(90, 181, 10), -1),
+}
+
+
+@pytest.mark.parametrize("stack", STACKS)
+@pytest.mark.parametrize(
+    ("features", "within_one"), [("embedded", 0.95), pytest.param("vgg19", 0.85, marks=pytest.mark.slow)]
+)
+def test_a_real_stack_whose_order_is_known(head, request, monkeypatch, rng, stack, features, within_one):
+    """References 10 mm apart of a CT head's own slices, remapped and bent; truth is the nearest reference."""
+    from MedColorLib.features import make_extractor, unit_descriptors
+
+    if features == "vgg19":
+        monkeypatch.setenv("MEDCOLOR_WEIGHTS", str(request.getfixturevalue("shared_weights")))
+    slices, references, direction = STACKS[stack]
+    references = list(references)[::direction]
+    extractor = make_extractor(features)
+    library = unit_descriptors(extractor, (photographed(*head[k], rng) for k in references))
+    queries = unit_descriptors(extractor, (head[k][0] for k in slices))
+    choice, name = assign(queries @ library.T)
+    assert name == ("along the series" if direction == 1 else "against the series")
+    nearest = np.clip(slices, min(references), max(references))
+    error_mm = np.abs(np.array(references)[choice] - nearest)
+    assert (error_mm <= 10).mean() >= within_one and error_mm.mean() < 7
+
+
+@pytest.mark.parametrize("stack", ["whole", "reversed", "part of the series"])
+def test_a_stack_made_by_formula_whose_order_is_known(rng, stack):
+    """As above with the phantom: 24 slices 8 mm apart, references 16 mm apart."""
+    from MedColorLib.body import find_body
+    from MedColorLib.features import make_extractor, unit_descriptors
+    from MedColorLib.grid import choose_grid
+    from MedColorLib.intensity import Window
+    from MedColorLib.phantom import sample
+    from MedColorLib.slices import slice_on_grid, slice_order
+
+    volume, _ = sample()
+    view = slice_order(volume.ijk_to_ras).view(volume.array)
+    body = find_body(view)
+    stack_of = {k: slice_on_grid(view, body, Window(-100, 900, "given"), choose_grid(256), k) for k in range(2, 46, 2)}
+    slices = np.array(sorted(stack_of)) if stack != "part of the series" else np.arange(14, 32, 2)
+    references = np.arange(2, 46, 4)[:: -1 if stack == "reversed" else 1]
+    extractor = make_extractor("embedded")
+    library = unit_descriptors(extractor, (photographed(*stack_of[k], rng) for k in references))
+    queries = unit_descriptors(extractor, (stack_of[k][0] for k in slices))
+    choice, name = assign(queries @ library.T)
+    error = np.abs(references[choice] - slices)
+    assert name == ("against the series" if stack == "reversed" else "along the series")
+    assert (error <= 4).mean() >= 0.9

@@ -12,7 +12,7 @@ import pytest
 from MedColorLib.errors import Cancelled, InputError
 from MedColorLib.features.embedded import Embedded
 from MedColorLib.phantom import section
-from MedColorLib.recommend import index_library, recommend
+from MedColorLib.recommend import Recommender, index_library, recommend
 
 LEVELS = {"eyes": -0.45, "middle": 0.2, "top": 0.75}
 
@@ -120,3 +120,66 @@ def test_cancelling_keeps_what_has_been_described(library, described):
     assert len(described) == 2 and [fraction for fraction, _ in seen] == [0, pytest.approx(1 / 3)]
     paths, descriptors = index_library(library, extractor)
     assert len(described) == 3 and len(paths) == len(descriptors) == 3
+    assert descriptors.shape[1] == 2
+
+
+def test_a_recommender_answers_as_one_call_does_and_describes_nothing_again(ct, mr, library, described, monkeypatch):
+    from MedColorLib import body
+
+    outlined = []
+    find_body = body.find_body
+    monkeypatch.setattr(body, "find_body", lambda view: outlined.append(view) or find_body(view))
+    one = Recommender(library, "embedded", "cpu")
+    for volume, k in ((ct.volume, 3), (ct.volume, 7), (ct.volume, None), (mr.volume, 7)):
+        found = one.recommend(volume, slice_index=k)
+        again = recommend(volume, library, slice_index=k, features="embedded", device="cpu")
+        assert [path for path, _ in found] == [path for path, _ in again]
+        np.testing.assert_allclose([s for _, s in found], [s for _, s in again], atol=2e-3)  # the index is float16
+    assert sum(view is outlined[0] or np.shares_memory(view, ct.volume.array) for view in outlined) == 1 + 3
+    assert len(described) == 3 + 4 * 2  # three pictures once; each question one pass
+
+
+def test_a_recommender_takes_up_new_pictures_when_it_looks_again(ct, library, sections):
+    one = Recommender(library, "embedded", "cpu")
+    assert len(one.recommend(ct.volume, 9)) == 3
+    cv2.imwrite(str(library / "new.png"), section(0.0)[..., ::-1])
+    assert len(one.recommend(ct.volume, 9)) == 3
+    one.look_again()
+    assert len(one.recommend(ct.volume, 9)) == 4
+
+
+@pytest.mark.parametrize("flip", [np.s_[::-1], np.s_[::-1, ::-1]], ids=["upside down", "turned by half"])
+def test_photographs_that_lie_the_other_way_are_found_as_well(ct, tmp_path, sections, flip):
+    (tmp_path / "down").mkdir()
+    for name, picture in sections.items():
+        cv2.imwrite(str(tmp_path / "down" / f"{name}.png"), np.ascontiguousarray(picture[flip]))
+    assert [ask(ct, tmp_path / "down", slice_index=k)[0][0] for k in (3, 4, 7)] == ["eyes", "eyes", "middle"]
+
+
+def test_a_library_by_its_name(ct, library, cache):
+    from MedColorLib.library import add_library
+
+    add_library(library, "plates")
+    by_name, by_folder = ask(ct, "plates", slice_index=4), ask(ct, library, slice_index=4)
+    assert by_name[0][0].startswith("eyes-") and by_name[0][1] == pytest.approx(by_folder[0][1], abs=0.01)
+
+
+def test_a_picture_that_cannot_be_read_is_left_out(ct, library, caplog, monkeypatch):
+    from pathlib import Path
+
+    read_bytes = Path.read_bytes
+
+    def refused(path):
+        if path.name == "eyes.png":
+            raise PermissionError(13, "Permission denied")
+        return read_bytes(path)
+
+    monkeypatch.setattr(Path, "read_bytes", refused)
+    with caplog.at_level(logging.WARNING, "MedColor"):
+        assert len(ask(ct, library)) == 2
+    assert "eyes.png: cannot be read (Permission denied)" in caplog.text
+
+
+def test_a_link_that_leads_nowhere_is_no_picture(ct, library):
+    (library / "gone.png").symlink_to(library / "nothing.png")
+    assert len(ask(ct, library, top=9)) == 3
