@@ -6,6 +6,8 @@ The data's way, one file a stage, one folder a choice of alternatives:
 | --- | --- | --- |
 | volume in | `volume_io`, `volume` | file -> `Volume` (k, j, i) with its place in space |
 | slices | `slices`, `body`, `intensity`, `reference`, `grid` | volume -> transverse slices, body, display grey on one raster |
+| references | `references`, `color_sections`, `library`, `visible_human` | picture, folder, colour volume -> `Reference`s |
+| choice of references | `recommend`, `assignment` | likeness of descriptors -> a reference for each slice |
 | plan | `prepare`, `plan` | what will be done, what is left out and why |
 | contrast | `contrast` | scan's grey -> the photograph's contrast, for matching only |
 | features | `features/` | grey slice -> five maps |
@@ -13,6 +15,8 @@ The data's way, one file a stage, one folder a choice of alternatives:
 | colour | `color/`, `filters/`, `transfer` | T' and the scan's luminance -> sRGB slice |
 | volume out | `volume_io`, `report` | `ColorVolume` -> NRRD or NIfTI, JSON report |
 | rendering | `rendering/` | `ColorVolume` -> pictures |
+| interruption | `resume` | matches of an unfinished run, kept on disk |
+| cohorts | `batch`, `batch_workers` | folder of volumes -> folder of results; processes, Dask |
 
 `pipeline.colorize` is the map: one call per stage. Nothing heavy is imported until it is used.
 
@@ -30,13 +34,16 @@ __version__ = "0.1.0"
 _WHERE = {
     "ColorVolume": "volume",
     "Plan": "plan",
+    "Resume": "resume",
     "Settings": "parameters",
     "Volume": "volume",
     "colorize": "pipeline",
     "fast_global_smoother": "filters",
+    "forget_run": "resume",
     "make_plan": "pipeline",
     "read_color_volume": "volume_io",
     "read_volume": "volume_io",
+    "run_batch": "batch",
     "write_color_volume": "volume_io",
 }
 

@@ -10,21 +10,25 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .assignment import assign
-from .features import CONTEXT_WEIGHTS
-from .grid import Grid, to_grid
-from .intensity import apply_curve, apply_window, spreading_curve
+from .blending import blended, neighbours
+from .features import CONTEXT_WEIGHTS, unit_descriptors
+from .grid import Grid
+from .intensity import apply_curve, spreading_curve
 from .orientation import choose_way, turned
 from .parameters import PRESETS
 from .prepare import Prepared, sample_slices
 from .progress import Run
 from .reference import Reference, on_grid
+from .slices import slice_in_box, slice_on_grid
 
 if TYPE_CHECKING:
     from torch import Tensor
 
+    from .analogy import Match
+    from .resume import RunStore
+
 log = logging.getLogger("MedColor")
 
-DESCRIPTOR_BATCH = 16
 MANY_REFERENCES = 7  # more are taken for one series, whose pictures all lie the same way
 
 
@@ -45,10 +49,9 @@ class ReferenceOnGrid:
 
 @dataclass(frozen=True)
 class ReferenceFeatures:
-    """What matching needs of a reference, on the device: features by layer, L*a*b*, grey (1, c, H, W), mask (H, W)."""
+    """What matching needs of a reference, on the device: features by layer, grey (1, 1, H, W), mask (H, W)."""
 
     layers: dict
-    lab: Tensor
     luminance: Tensor
     mask: Tensor
 
@@ -56,11 +59,11 @@ class ReferenceFeatures:
 class Engine:
     """The network, the references' features and the contrast curves: everything that slices share."""
 
-    def __init__(self, prepared: Prepared, run: Run) -> None:
+    def __init__(self, prepared: Prepared, run: Run, store: RunStore | None = None) -> None:
         from .features import make_extractor
         from .reconstruction import make_reconstruction
 
-        self.prepared, self.run = prepared, run
+        self.prepared, self.run, self.store = prepared, run, store
         self.settings, self.grid, self.device = prepared.settings, prepared.grid, prepared.plan.device
         preset = PRESETS[self.settings.preset]
         self.stop_layer, self.uses_context = preset.stop_layer, preset.context
@@ -72,6 +75,7 @@ class Engine:
         with run.timed("orientation"):
             self._turn_references()
         self.choice = self._choose_references()
+        self.neighbours = {} if self.assigned == "freely" else neighbours(self.choice)
         self.guide_curve = self._spread_guide() if prepared.plan.smoother == "regression" else None
         with run.timed("contrast"):
             for index in sorted(set(self.choice.values())):
@@ -79,15 +83,12 @@ class Engine:
 
     def slice_on_grid(self, k: int) -> tuple[np.ndarray, np.ndarray]:
         """Display grey and body mask (H, W) of slice k on the grid."""
-        grey, cover = self.slice_in_box(k)
-        mask = to_grid(cover, self.grid) > 0.5
-        return to_grid(grey * (cover > 0.5), self.grid) * mask, mask
+        prepared = self.prepared
+        return slice_on_grid(prepared.view, prepared.body, prepared.window, self.grid, k)
 
     def slice_in_box(self, k: int) -> tuple[np.ndarray, np.ndarray]:
         """Display grey (rows, cols) and body coverage 0..1 of slice k, cut to the body's box, at full resolution."""
-        j0, j1, i0, i1 = self.prepared.body.boxes[k]
-        grey = apply_window(self.prepared.view[k, j0:j1, i0:i1], self.prepared.window)
-        return grey, self.prepared.body.plane(k)[j0:j1, i0:i1]
+        return slice_in_box(self.prepared.view, self.prepared.body, self.prepared.window, k)
 
     def features_of(self, index: int) -> ReferenceFeatures:
         """Features of a reference, computed once for all slices; of several references the last two are kept."""
@@ -100,7 +101,6 @@ class Engine:
             luminance = torch.from_numpy(reference.grey)[None, None].to(self.device)
             self._features[index] = ReferenceFeatures(
                 self.extractor.extract(luminance, self.layers),
-                torch.from_numpy(reference.lab.astype(np.float32)).permute(2, 0, 1)[None].to(self.device),
                 luminance,
                 torch.from_numpy(reference.mask).to(self.device),
             )
@@ -121,22 +121,58 @@ class Engine:
         return np.stack(greys), np.stack(masks)
 
     def match(self, ks: Sequence[int], index: int):
-        """Match slices `ks` with reference `index`.
+        """Match slices `ks` with reference `index`, blended with their neighbouring reference where they have one.
+
+        Args:
+            ks: all with the same `references_of`.
 
         Returns:
             greys and masks (N, H, W) on the grid, matched colours T' (N, H, W, 3) L*a*b*, and the trust in each slice (None
             where nothing reads it).
         """
+        own = self._match_one(ks, index)
+        if ks[0] not in self.neighbours:
+            return own
+        other = self._match_one(ks, self.neighbours[ks[0]].index)
+        return blended(own, other, np.array([self.neighbours[k].share for k in ks]))
+
+    def references_of(self, k: int) -> tuple[int, ...]:
+        """Indices of the references that slice k is matched with: its own and, where it has one, its neighbouring one."""
+        return (self.choice[k], self.neighbours[k].index) if k in self.neighbours else (self.choice[k],)
+
+    @property
+    def reads_trust(self) -> bool:
+        """Whether anything reads how far matches can be trusted."""
+        return self.settings.weighs_matches or self.settings.confidence
+
+    def _match_one(self, ks: Sequence[int], index: int):
+        """Match slices with one reference, or take up what an interrupted run kept in `store`."""
+        import torch
+
+        from .vote import matched_colors
+
+        reference, store = self.references[index], self.store
+        greys, masks = self.slices_on_grid(ks)
+        matched = apply_curve(greys, reference.contrast.curve) * masks
+        stored = store.load(ks, index, self.device) if store else None
+        found = stored or self._analogy(index, matched, masks)
+        self.searched = found.searched
+        with self.run.timed("matching"):
+            own_lab = torch.from_numpy(reference.lab.astype(np.float32)).permute(2, 0, 1)[None].to(self.device)
+            lab = matched_colors(found.field, found.layer, own_lab)
+        if store and not stored:
+            store.save(ks, index, found)
+        lab = lab.permute(0, 2, 3, 1).float().cpu().numpy()
+        trusts = self._trusts(found, reference, matched, masks, lab) if self.reads_trust else [None] * len(ks)
+        return greys, masks, lab, trusts
+
+    def _analogy(self, index: int, matched: np.ndarray, masks: np.ndarray) -> Match:
+        """The correspondence of slices (N, H, W) in the photograph's contrast with reference `index`."""
         import torch
 
         from .analogy import Context, deep_image_analogy
-        from .vote import matched_colors
-
-        reads_trust = self.prepared.plan.smoother == "regression"
 
         reference, own = self.references[index], self.features_of(index)
-        greys, masks = self.slices_on_grid(ks)
-        matched = apply_curve(greys, reference.contrast.curve) * masks
         luminance = torch.from_numpy(matched)[:, None].to(self.device)
         with self.run.timed("features"):
             features = self.extractor.extract(luminance, self.layers)
@@ -145,7 +181,7 @@ class Engine:
             position, grey = CONTEXT_WEIGHTS[self.extractor.name]
             context = Context(position, grey * reference.contrast.trust, luminance, own.luminance)
         with self.run.timed("matching"):
-            found = deep_image_analogy(
+            return deep_image_analogy(
                 features,
                 own.layers,
                 torch.from_numpy(masks).to(self.device),
@@ -154,22 +190,19 @@ class Engine:
                 context,
                 self.reconstruct,
                 seed=self.settings.seed,
-                keep_reverse=reads_trust,
+                keep_reverse=self.reads_trust,
             )
-            self.searched = found.searched
-            lab = matched_colors(found.field, found.layer, own.lab)
-        lab = lab.permute(0, 2, 3, 1).float().cpu().numpy()
-        trusts = self._trusts(found, reference, matched, masks, lab) if reads_trust else [None] * len(ks)
-        return greys, masks, lab, trusts
 
     def _trusts(self, found, reference, matched, masks, lab) -> list:
         from .color.lab import lightness_to_gray
-        from .confidence import consistency, on_full_grid, trust_of
+        from .confidence import LEAST_TRUST, LIKENESS_RANGE, consistency, in_range, on_full_grid, trust_of
 
-        home = on_full_grid(consistency(found.field, found.reverse), masks.shape[1:]).cpu().numpy() * masks
+        home = on_full_grid(consistency(found.field, found.reverse), masks.shape[1:])
+        alike = on_full_grid(in_range(found.likeness, *LIKENESS_RANGE[self.extractor.name]), masks.shape[1:])
+        confidence = (home * alike + LEAST_TRUST).cpu().numpy() * masks
         seen = np.clip(lightness_to_gray(lab[..., 0].astype(np.float64)), 0, 1)
         inverse = reference.contrast.inverse
-        return [trust_of(*planes, inverse) for planes in zip(home, matched, seen)]
+        return [trust_of(*planes, inverse) for planes in zip(confidence, matched, seen)]
 
     def _turn_references(self) -> None:
         """Find out which way up the references lie: each for itself, or many (a series of photographs) together."""
@@ -214,18 +247,7 @@ class Engine:
         if len(self.references) == 1:
             return dict.fromkeys(slices, 0)
         with self.run.timed("recommendation"):
-            library = self._descriptors([r.grey for r in self.references])
-            queries = self._descriptors([self.slice_on_grid(k)[0] for k in slices])
+            library = unit_descriptors(self.extractor, (r.grey for r in self.references), self.device)
+            queries = unit_descriptors(self.extractor, (self.slice_on_grid(k)[0] for k in slices), self.device)
             choice, self.assigned = assign(queries @ library.T)
         return dict(zip(slices, choice.tolist()))
-
-    def _descriptors(self, greys: Sequence[np.ndarray]) -> np.ndarray:
-        """(n, D) unit descriptors; in batches, since fc6 is read from its file once per call."""
-        import torch
-
-        rows = []
-        for first in range(0, len(greys), DESCRIPTOR_BATCH):
-            planes = torch.from_numpy(np.stack(greys[first : first + DESCRIPTOR_BATCH]))[:, None].to(self.device)
-            rows.append(self.extractor.descriptor(planes).float().cpu().numpy())
-        table = np.concatenate(rows)
-        return table / np.maximum(np.linalg.norm(table, axis=1, keepdims=True), 1e-12)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import logging
+import os
 import time
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
@@ -13,7 +14,7 @@ import numpy as np
 from .device import memory_errors
 from .errors import DeviceError
 from .parameters import Settings
-from .plan import Plan
+from .plan import LeftOut, Plan
 from .prepare import Prepared, prepare
 from .progress import Progress, Run
 from .volume import ColorVolume, Volume
@@ -21,13 +22,25 @@ from .volume import ColorVolume, Volume
 if TYPE_CHECKING:
     from .engine import Engine
     from .paint import Painter
+    from .resume import Resume, RunStore
 
 log = logging.getLogger("MedColor")
 
 
-def make_plan(volume: Volume, references: Sequence, settings: Settings | None = None) -> Plan:
+def make_plan(
+    volume: Volume,
+    references: Sequence,
+    settings: Settings | None = None,
+    resume: bool | str | os.PathLike | Resume = False,
+) -> Plan:
     """What `colorize` would do with these arguments, and what it would leave out; takes seconds at most."""
-    return prepare(volume, references, settings or Settings(), find_device=False).plan
+    from .resume import open_store
+
+    prepared = prepare(volume, references, settings or Settings(), find_device=bool(resume))
+    store = open_store(prepared, resume)
+    if store:
+        _leave_out(prepared.plan, store.stored_slices())
+    return prepared.plan
 
 
 def colorize(
@@ -36,16 +49,20 @@ def colorize(
     settings: Settings | None = None,
     progress: Progress | None = None,
     cancelled: Callable[[], bool] | None = None,
+    resume: bool | str | os.PathLike | Resume = False,
 ) -> ColorVolume:
     """Colour a grey volume after colour references.
 
     Args:
         volume: scalars (k, j, i); never altered.
-        references: paths of colour pictures or folders, or (h, w, 3) uint8 RGB arrays. With several, each slice takes
-            the one most like it.
+        references: paths of colour pictures, folders or colour volumes, names of libraries, (h, w, 3) uint8 RGB arrays or
+            `ColorVolume`s. With several, each slice takes the one most like it.
         settings: see `Settings`.
         progress: called with the fraction done (0..1) and a short text.
         cancelled: asked between batches of slices; True raises `Cancelled`.
+        resume: True, a folder or `resume.Resume` keeps on disk what has been matched and takes up what an interrupted run
+            with the same arguments left; the result has the same bytes. It is kept until `resume.forget_run(report,
+            resume)`, to be called once the result is written, or until newer runs need the room.
 
     Returns:
         RGB volume on the same grid, black outside the body, with a report. The colours are an illustration, not a
@@ -56,31 +73,53 @@ def colorize(
         Cancelled: nothing was written.
     """
     from .engine import Engine
+    from .resume import open_store
 
     run = Run(progress, cancelled)
     with run.timed("prepare"):
         run.step(0.0, "preparing")
         prepared = prepare(volume, references, settings or Settings())
+        store = open_store(prepared, resume)
+    if store and store.stored_slices():
+        log.info("resume: an interrupted run left %d slices matched; going on from there", store.stored_slices())
     rgb = np.zeros((*volume.array.shape, 3), np.uint8)
     with run.timed("network"):
         run.step(0.02, f"loading {prepared.plan.features} features")
-        engine = Engine(prepared, run)
-    stack = prepared.order.view(rgb)
-    painter = _color_slices(prepared, engine, stack, run)
+        engine = Engine(prepared, run, store)
+    confidence = np.zeros(volume.array.shape, np.uint8) if prepared.settings.confidence else None
+    painter = _color_slices(prepared, engine, rgb, confidence, run)
     run.step(1.0, "done")
-    report = _report(prepared, engine, run, painter)
-    return ColorVolume(rgb, volume.ijk_to_ras, report, f"{volume.name} colored")
+    _leave_out(prepared.plan, store.resumed_slices if store else 0)
+    report = {**_report(prepared, engine, run, painter), **_resumed(store)}
+    return ColorVolume(rgb, volume.ijk_to_ras, report, f"{volume.name} colored", confidence)
 
 
-def _color_slices(prepared: Prepared, engine: Engine, stack: np.ndarray, run: Run) -> Painter:
-    """Fill `stack` (slice, row, col, 3), in the order of the stack."""
+def _leave_out(plan: Plan, resumed: int) -> None:
+    """Say in the plan that slices need no matching because an interrupted run left it."""
+    if resumed:
+        why = "an interrupted run with the same volume, references and settings left it (--resume)"
+        plan.left_out.append(LeftOut("matching done before", why, f"{resumed} of {len(plan.slices)} slices"))
+
+
+def _resumed(store: RunStore | None) -> dict:
+    """What the report says of an interrupted run."""
+    if store is None:
+        return {"resumed_slices": 0, "resume_run": None, "resume_problem": None}
+    return {"resumed_slices": store.resumed_slices, "resume_run": store.key, "resume_problem": store.problem}
+
+
+def _color_slices(
+    prepared: Prepared, engine: Engine, rgb: np.ndarray, confidence: np.ndarray | None, run: Run
+) -> Painter:
+    """Fill `rgb` (k, j, i, 3) and, where it is wanted, `confidence` (k, j, i)."""
     from .paint import Painter
 
-    painter = Painter(prepared, engine, stack)
+    view = prepared.order.view
+    painter = Painter(prepared, engine, view(rgb), None if confidence is None else view(confidence))
     batch = prepared.settings.batch
     waiting = list(prepared.plan.slices)
     while waiting:
-        ks = _next_batch(waiting, engine.choice, prepared.repeats, batch)
+        ks = _next_batch(waiting, engine, prepared.repeats, batch)
         done = len(prepared.plan.slices) - len(waiting)
         run.step(0.05 + 0.94 * done / len(prepared.plan.slices), f"slice {done + 1} of {len(prepared.plan.slices)}")
         try:
@@ -98,20 +137,34 @@ def _color_slices(prepared: Prepared, engine: Engine, stack: np.ndarray, run: Ru
     return painter
 
 
-def _next_batch(waiting: list[int], choice: dict[int, int], repeats: dict[int, int], batch: int) -> list[int]:
-    """The next slices that go through the network together: one reference, no repeats; or one repeat by itself."""
+def _next_batch(waiting: list[int], engine: Engine, repeats: dict[int, int], batch: int) -> list[int]:
+    """The next slices that go through the network together: the same references, no repeats; or one repeat by itself."""
     if waiting[0] in repeats:
         return waiting[:1]
     ks = []
+    together = engine.references_of(waiting[0])
     for k in waiting[:batch]:
-        if k in repeats or choice[k] != choice[waiting[0]]:
+        if k in repeats or engine.references_of(k) != together:
             break
         ks.append(k)
     return ks
 
 
+def _greyed(painter: Painter) -> dict[str, float]:
+    """Slice -> share of its colour that was kept, for the slices where too little could be trusted; said in the log."""
+    greyed = {str(k): round(share, 4) for k, share in painter.saturation.items() if share < 1}
+    if greyed:
+        log.warning(
+            "%d of %d slices look so unlike the reference that they stay grey or nearly so: choose a reference of the "
+            "same part of the body",
+            len(greyed),
+            len(painter.saturation),
+        )
+    return greyed
+
+
 def _report(prepared: Prepared, engine: Engine, run: Run, painter: Painter) -> dict:
-    from .report import environment, peak_memory_mb
+    from .report import environment, peak_memory_mb, voxels_sha256
 
     volume = prepared.volume
     used = sorted(set(engine.choice.values()))
@@ -119,18 +172,24 @@ def _report(prepared: Prepared, engine: Engine, run: Run, painter: Painter) -> d
         "notice": "Illustration: the colours are not a measurement.",
         "input": {
             "name": volume.name,
-            "sha256": hashlib.sha256(np.ascontiguousarray(volume.array).data).hexdigest(),
+            "sha256": voxels_sha256(volume.array),
             "shape_kji": list(volume.array.shape),
-            "dtype": str(volume.array.dtype),
+            "dtype": str(volume.array.dtype.newbyteorder("=")),
             "ijk_to_ras": volume.ijk_to_ras.tolist(),
             "notes": list(volume.notes),
         },
         "references": [
-            {"name": r.name, "sha256": hashlib.sha256(r.rgb.tobytes()).hexdigest(), "removed_fraction": r.removed}
+            {
+                "name": r.name,
+                "sha256": hashlib.sha256(r.rgb.tobytes()).hexdigest(),
+                "removed_fraction": r.removed,
+                "credit": r.credit,
+            }
             for r in prepared.references
         ],
         "reference_of_slice": {str(k): prepared.references[i].name for k, i in engine.choice.items()},
         "references_assigned": engine.assigned,
+        "blended_slices": {str(k): [prepared.references[n.index].name, n.share] for k, n in engine.neighbours.items()},
         "reference_lies": {engine.references[i].name: engine.references[i].way for i in used},
         "contrast": {engine.references[i].name: engine.references[i].contrast.describe() for i in used},
         "settings": prepared.settings.to_dict(),
@@ -143,6 +202,7 @@ def _report(prepared: Prepared, engine: Engine, run: Run, painter: Painter) -> d
         "peak_memory_mb": peak_memory_mb(),
         "out_of_gamut_pixels": painter.clipped,
         "trusted_fraction": {str(k): v for k, v in painter.trusted.items()},
+        "greyed_slices": _greyed(painter),
         "contrast_agreement": {str(k): v for k, v in painter.agreement.items()},
         "environment": environment(prepared.plan.device),
     }

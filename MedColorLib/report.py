@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import platform
+import secrets
 import sys
 from pathlib import Path
+
+import numpy as np
 
 from .errors import OutputError
 
@@ -30,6 +34,15 @@ def environment(device: str) -> dict:
     return {"versions": versions, "machine": machine, "device": name}
 
 
+def voxels_sha256(array: np.ndarray) -> str:
+    """SHA-256 (hex) of an array's values in C order and the machine's byte order, without a copy of the whole."""
+    digest = hashlib.sha256()
+    native = array.dtype.newbyteorder("=")
+    for plane in array:
+        digest.update(np.ascontiguousarray(plane, native).data)
+    return digest.hexdigest()
+
+
 def peak_memory_mb() -> float | None:
     """Largest resident memory of this process so far in MB; None where the platform does not tell."""
     try:
@@ -47,7 +60,7 @@ def write_report(report: dict, path: str | Path) -> None:
         OutputError: the folder is missing or cannot be written.
     """
     path = Path(path)
-    temporary = path.with_name(f".{path.name}.part")
+    temporary = path.with_name(f".{secrets.token_hex(4)}-{path.name}.part")  # several may write the same one
     try:
         temporary.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
         os.replace(temporary, path)

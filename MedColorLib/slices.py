@@ -3,8 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
+
+from .grid import Grid, to_grid
+from .intensity import Window, apply_window
+
+if TYPE_CHECKING:
+    from .body import Body
 
 PLANES = ("transverse", "acquired")
 
@@ -60,3 +67,23 @@ def slice_order(ijk_to_ras: np.ndarray, plane: str = "transverse") -> SliceOrder
     stack, row, column = axes
     flips = (by_array_axis[2, stack] < 0, by_array_axis[1, row] > 0, by_array_axis[0, column] > 0)
     return SliceOrder(axes, tuple(bool(f) for f in flips))
+
+
+def slice_in_box(view: np.ndarray, body: Body, window: Window, k: int) -> tuple[np.ndarray, np.ndarray]:
+    """Slice k cut to the body's box, at full resolution.
+
+    Args:
+        view: (slice, row, column) scalars, as `SliceOrder.view` gives them.
+
+    Returns:
+        Display grey 0..1 and coverage by the body 0..1, both (rows, cols) float32.
+    """
+    j0, j1, i0, i1 = body.boxes[k]
+    return apply_window(view[k, j0:j1, i0:i1], window), body.plane(k)[j0:j1, i0:i1]
+
+
+def slice_on_grid(view: np.ndarray, body: Body, window: Window, grid: Grid, k: int) -> tuple[np.ndarray, np.ndarray]:
+    """Display grey 0..1, black outside the body, and body mask of slice k on the grid, both (H, W)."""
+    grey, cover = slice_in_box(view, body, window, k)
+    mask = to_grid(cover, grid) > 0.5
+    return to_grid(grey * (cover > 0.5), grid) * mask, mask

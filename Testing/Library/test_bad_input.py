@@ -106,7 +106,7 @@ def test_volumes(folder, capfd, name, words):
         ("void.png", "void.png: not a picture that can be read; use PNG, JPEG or TIFF"),
         ("broken.png", "broken.png"),
         ("notes.txt", "notes.txt: not a picture"),
-        ("ct.nrrd", "ct.nrrd: not a picture"),
+        ("ct.nrrd", "ct.nrrd: not a colour volume"),
         ("float.tif", "float32 channels; save it with 8 or 16 bits per channel"),
         ("grey.png", "a grey picture; the reference must be a colour photograph"),
         ("greyscale.png", "no colour; use a colour photograph"),

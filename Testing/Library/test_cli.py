@@ -21,7 +21,7 @@ from MedColorLib.parameters import Settings
 
 pytestmark = pytest.mark.usefixtures("small_raster", "without_weights")
 ROOT = Path(__file__).resolve().parents[2]
-COMMANDS = ("colorize", "render", "recommend", "weights", "demo", "bench")
+COMMANDS = ("colorize", "batch", "render", "recommend", "library", "weights", "demo", "bench")
 
 
 @pytest.fixture

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from datetime import datetime
 from pathlib import Path
 
 import nibabel as nib
@@ -58,6 +59,27 @@ def test_color_volume_as_simpleitk_reads_it(name: str, ending: str, tmp_path: Pa
     for ijk in [(0, 0, 0), (5, 4, 3)]:
         point = LPS[:3, :3] @ image.TransformIndexToPhysicalPoint(ijk)
         np.testing.assert_allclose(point, (volume.ijk_to_ras @ (*ijk, 1))[:3], atol=1e-4)
+
+
+def test_equal_volumes_make_equal_files(tmp_path: Path, monkeypatch) -> None:
+    """Whenever they are written: pynrrd's comment with the time is blanked, and nothing else of the file is touched."""
+    volume = ColorVolume(voxels(np.dtype("u1"), (*SHAPE, 3)), geometry("rotated"))
+    files, plain = [], tmp_path / "plain.nrrd"
+    for year in (1999, 2031):
+
+        class Clock:
+            utcnow = now = staticmethod(lambda *_, year=year: datetime(year, 5, 6, 7, 8, 9))
+
+        monkeypatch.setattr("nrrd.writer.datetime", Clock)
+        write_color_volume(volume, tmp_path / f"{year}.nrrd")
+        files.append((tmp_path / f"{year}.nrrd").read_bytes())
+        with monkeypatch.context() as patch:
+            patch.setattr(volume_io, "_blank_time", lambda _: None)
+            write_color_volume(volume, plain)
+        assert str(year).encode() in plain.read_bytes()
+    assert files[0] == files[1] and b"2031" not in files[1].split(b"\n\n")[0]
+    lines = [data.split(b"\n") for data in (files[1], plain.read_bytes())]
+    assert [n for n, (one, other) in enumerate(zip(*lines)) if one != other] == [2] and len(lines[0]) == len(lines[1])
 
 
 def test_color_reader_refuses_other_volumes(tmp_path: Path) -> None:

@@ -103,7 +103,8 @@ class TestReadme:
 
     def test_options_in_the_text_exist(self, capsys):
         known = set()
-        for command in ((), *((c,) for c in ("colorize", "render", "recommend", "weights", "demo", "bench"))):
+        names = ("colorize", "batch", "render", "recommend", "library", "weights", "demo", "bench")
+        for command in ((), *((name,) for name in names)):
             with pytest.raises(SystemExit):
                 _parser().parse_args([*command, "--help"])
             known |= set(re.findall(r"--[a-z][a-z0-9-]*", capsys.readouterr().out))

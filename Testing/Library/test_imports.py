@@ -24,9 +24,10 @@ HEAVY = (
     "safetensors",
     "matplotlib",
     "tqdm",
+    "distributed",
 )
 HOSTS = {"slicer", "qt", "ctk", "vtkSlicer", "mrml", "PySide6", "MedColor", "MedColorSlicer"}
-ENDS = {"", "cli", "pipeline", "demo", "estimate", "bench", "__main__"}  # they use the stages; no stage uses them
+ENDS = {"", "cli", "pipeline", "batch", "demo", "estimate", "bench", "__main__"}  # they use the stages; no stage uses them
 
 
 def module_of(path: Path) -> str:

@@ -14,7 +14,7 @@ import torch
 from scipy.ndimage import binary_erosion
 
 from MedColorLib import ColorVolume, Settings, Volume, analogy, colorize, vote
-from MedColorLib.coherence import SliceAverage
+from MedColorLib.coherence import GUIDE_SIGMA, MOST_SLICES, SliceAverage, frames
 from MedColorLib.color.difference import ciede2000
 from MedColorLib.color.lab import gray_to_lightness, lightness_to_gray, srgb_to_lab
 from MedColorLib.errors import Cancelled, DeviceError, InputError, OutputError
@@ -332,9 +332,38 @@ class TestCoherence:
             got.update(ready)
         assert list(got) == list(slices)
         for k in slices:
-            near = [n for n in slices if n == k or 0.8 * abs(n - k) <= 2 * sigma_mm]
-            weights = [1 if n == k else np.exp(-0.5 * (0.8 * (n - k) / sigma_mm) ** 2) for n in near]
+            sigma = min(sigma_mm / 0.8, MOST_SLICES)
+            near = [n for n in slices if n == k or abs(n - k) <= 2 * sigma]
+            weights = [1 if n == k else np.exp(-0.5 * ((n - k) / sigma) ** 2) for n in near]
             np.testing.assert_allclose(got[k], sum(w * values[n] for w, n in zip(weights, near)))
+
+    def test_mean_over_pixels_of_like_grey(self, rng):
+        """With guides: the weighted mean of every pixel over its neighbours along the stack, by its own words."""
+        values, guides = rng.random((5, 3, 4, 2)), 255 * rng.random((5, 3, 4))
+        average, got = SliceAverage(range(5), 1.0, 1.2), {}
+        for k in range(5):
+            got.update(average.push(k, values[k], guides[k]))
+        for k in range(5):
+            for row, col in np.ndindex(3, 4):
+                near = [n for n in range(5) if abs(n - k) <= 2]
+                affinity = [abs(guides[n, row, col] - guides[k, row, col]) / GUIDE_SIGMA for n in near]
+                weights = np.exp([-0.5 * ((n - k) / 1.2) ** 2 - a for n, a in zip(near, affinity)])
+                expected = (weights[:, None] * values[near, row, col]).sum(0) / weights.sum()
+                np.testing.assert_allclose(got[k][row, col], expected)
+
+    def test_boxes_lie_whole_in_themselves_when_nothing_moves(self):
+        boxes = np.array([[10, 60, 20, 90]] * 7)
+        np.testing.assert_allclose(frames(boxes, 1.0, 5.0), [[0, 1, 0, 1]] * 7, atol=1e-12)
+        np.testing.assert_allclose(frames(boxes + np.arange(7)[:, None], 1.0, 0.0), [[0, 1, 0, 1]] * 7, atol=1e-12)
+
+    def test_a_voxel_keeps_its_cell_when_its_box_jumps(self):
+        """The middle of a box whose upper edge jumps by 10 of 100 pixels moves by less than 2 in its frame, not by 5."""
+        boxes = np.array([[0, 100, 0, 100]] * 21)
+        boxes[10, 0] = 10
+        places = []
+        for box, (top, bottom, _, _) in zip(boxes, frames(boxes, 1.0, 3.0)):
+            places.append(top + (50 - box[0]) / (box[1] - box[0]) * (bottom - top))
+        assert np.abs(np.array(places) - 0.5).max() < 0.02
 
     def test_memory_is_that_of_the_neighbours(self):
         average = SliceAverage(range(100), 1.0, 1.5)
@@ -346,22 +375,50 @@ class TestCoherence:
         """The same slice with other noise each time: what differs from slice to slice is chance."""
         array = np.repeat(ct.volume.array[4:5], 6, 0) + np.rint(rng.normal(0, 200, (6, 64, 56))).astype(np.int16)
         flicker = []
-        for mm in (3.0, 0.0):
+        for mm in (Settings.coherence_mm, 0.0):
             result = colorize(with_spacing(array, 3, 3, 1), [ct.reference], settings(coherence_mm=mm))
             blocks = srgb_to_lab(result.rgb)[..., 1:].reshape(6, 8, 8, 7, 8, 2).mean((2, 4))
             flicker.append(np.abs(np.diff(blocks, axis=0)).mean())
-        assert flicker[0] < 0.99 * flicker[1]
+        assert flicker[0] < 0.95 * flicker[1]  # the scan's own noise remains
 
     def test_distant_slices_do_not(self, ct, colored):
-        alone = colorize(part(ct), [ct.reference], settings(coherence_mm=0))
-        assert alone.rgb.tobytes() == colored.rgb.tobytes()  # 16 mm apart, beyond two sigma of 3 mm
+        volume = with_spacing(part(ct).array, 3, 3, 16)
+        alone, default = (colorize(volume, [ct.reference], settings(coherence_mm=mm)) for mm in (0.0, 7.9))
+        assert alone.rgb.tobytes() == default.rgb.tobytes()  # 16 mm apart, beyond two sigma
 
-    def test_only_the_regression_shares(self, ct):
+    @pytest.mark.parametrize(
+        ("changes", "shares"),
+        [({"smoother": "guided"}, False), ({"smoother": "fgs"}, True), ({"smoother": "fgs", "preset": "full"}, False)],
+    )
+    def test_which_smoothers_share(self, ct, changes, shares):
         volume = with_spacing(ct.volume.array[4:7], 3, 3, 1)
         results = [
-            colorize(volume, [ct.reference], settings(smoother="guided", coherence_mm=mm)).rgb for mm in (3.0, 0.0)
+            colorize(volume, [ct.reference], settings(**{**changes, "coherence_mm": mm})).rgb for mm in (3.0, 0.0)
         ]
-        np.testing.assert_array_equal(*results)
+        assert (results[0] != results[1]).any() == shares
+
+
+class TestConfidence:
+    def test_volume_of_per_cents_on_the_same_grid(self, ct):
+        result = colorize(part(ct), [ct.reference], settings(confidence=True))
+        confidence = result.confidence
+        assert confidence.shape == result.rgb.shape[:3] and confidence.dtype == np.uint8 and confidence.max() <= 100
+        assert not confidence[:, 0].any() and not confidence[:, :, 0].any()
+        trusted = {k: (confidence[int(k)] > 55).sum() for k in result.report["trusted_fraction"]}
+        assert all(trusted.values())
+
+    def test_asking_for_it_changes_no_colour(self, ct):
+        with_it, without = (colorize(part(ct), [ct.reference], settings(confidence=c)).rgb for c in (True, False))
+        np.testing.assert_array_equal(with_it, without)
+
+    def test_what_looks_like_nothing_in_the_reference_stays_grey_and_says_so(self, ct, monkeypatch, caplog):
+        from MedColorLib import confidence
+
+        monkeypatch.setitem(confidence.LIKENESS_RANGE, "embedded", (2.0, 3.0))  # nothing is ever so alike
+        result = colorize(part(ct), [ct.reference], settings())
+        assert np.ptp(result.rgb, axis=-1).max() == 0 and result.rgb.any()
+        assert set(result.report["greyed_slices"].values()) == {0.0}
+        assert "choose a reference of the same part of the body" in caplog.text
 
 
 def test_vgg19_on_a_real_slice(shared_data, shared_weights, monkeypatch):

@@ -98,7 +98,10 @@ class TestText:
         assert "phantom CT, 12 x 64 x 56 (k, j, i) int16; slices run along array axis k" in steps["volume"]
         assert "embedded descriptors (no download), layers 5 to 3, raster 64 x 64, on cpu" in steps["features"]
         assert steps["body"].startswith("12 of 12 slices") or steps["body"].startswith("11 of 12 slices")
-        assert "regression; luminance of the scan; gamma off" in steps["colour"]
+        assert (
+            "regression, cell_px 8, bins 32, support_px 4, levels 3; luminance of the scan; gamma off"
+            in steps["colour"]
+        )
 
     def test_auto_says_which(self, ct, monkeypatch, tmp_path):
         monkeypatch.delenv("MEDCOLOR_WEIGHTS", raising=False)
@@ -251,7 +254,7 @@ class TestReferences:
 
 
 class TestMatching:
-    @pytest.mark.parametrize(("smoother", "left_out"), [("guided", True), ("fgs", True), ("regression", False)])
+    @pytest.mark.parametrize(("smoother", "left_out"), [("guided", True), ("fgs", False), ("regression", False)])
     def test_reverse_map_of_the_last_layer(self, ct, calls, smoother, left_out):
         plan = make_plan(middle(ct), [ct.reference], settings(smoother=smoother))
         assert (entry(plan, "reverse map of the last layer") is not None) == left_out
@@ -289,31 +292,43 @@ class TestColor:
     def test_one_solve_of_the_channels_that_are_needed(self, ct, monkeypatch, luminance, channels):
         sources = []
         smooth = FILTERS["fgs"]
-        monkeypatch.setitem(FILTERS, "fgs", lambda source, guide: sources.append(source.shape) or smooth(source, guide))
+        monkeypatch.setitem(FILTERS, "fgs", lambda source, *more: sources.append(source.shape) or smooth(source, *more))
         changes = {"smoother": "fgs", "luminance": luminance}
         plan = make_plan(middle(ct), [ct.reference], settings(**changes))
         assert (entry(plan, "smoothing of L*") is not None) == (luminance == "keep")
-        assert entry(plan, "second smoothing solve").error == "none" and entry(plan, "FGS") is None
+        assert entry(plan, "second smoothing solve").error == "none"
+        assert entry(plan, "smoothing at full resolution") is None
         colorize(middle(ct), [ct.reference], settings(**changes))
-        assert [shape[2] for shape in sources] == [channels] * 5
+        assert [shape[2] for shape in sources] == [channels + 1] * 5  # and the weights
 
     def test_smoothing_of_lightness_would_change_nothing(self, ct, monkeypatch):
         kept = colorize(middle(ct), [ct.reference], settings(smoother="fgs", gamma=False))
         smooth = FILTERS["fgs"]
-        with_lightness = lambda source, guide: smooth(np.concatenate([guide[..., None], source], -1), guide)[..., 1:]  # noqa: E731
+
+        def with_lightness(source, guide, *more):
+            return smooth(np.concatenate([np.float32(guide[..., None]), source], -1), guide, *more)[..., 1:]
+
         monkeypatch.setitem(FILTERS, "fgs", with_lightness)
         every = colorize(middle(ct), [ct.reference], settings(smoother="fgs", gamma=False))
         assert np.abs(kept.rgb.astype(int) - every.rgb).max() <= 1
 
-    def test_no_filter_where_the_regression_does(self, ct, monkeypatch):
-        for name in FILTERS:
-            monkeypatch.setitem(FILTERS, name, None)
+    def test_remainder_of_the_regression_is_smoothed_on_half_the_raster(self, ct, monkeypatch):
+        sources = []
+        smooth = FILTERS["fgs"]
+        monkeypatch.setitem(FILTERS, "fgs", lambda source, *more: sources.append(source.shape) or smooth(source, *more))
         plan = make_plan(middle(ct), [ct.reference], settings())
-        assert entry(plan, "FGS")
-        assert colorize(middle(ct), [ct.reference], settings()).rgb.any()
+        assert entry(plan, "smoothing at full resolution")
+        colorize(middle(ct), [ct.reference], settings())
+        assert sources == [(24, 24, 3)] * 5  # raster 64 without its margin, halved; a*, b* and the weight
+
+    def test_no_confidence_volume_unless_asked_for(self, ct):
+        for wanted in (False, True):
+            changes = settings(confidence=wanted)
+            assert (entry(make_plan(middle(ct), [ct.reference], changes), "confidence volume") is None) == wanted
+            assert (colorize(middle(ct), [ct.reference], changes).confidence is not None) == wanted
 
     def test_air_around_the_body_is_not_colored(self, ct, calls):
-        colored = calls(transfer, "transfer_evidence")
+        colored = calls(transfer, "combine")
         volume = scan(np.pad(ct.volume.array[3:8], ((0, 0), (20, 20), (20, 20)), constant_values=-1000))
         plan = make_plan(volume, [ct.reference], settings())
         result = colorize(volume, [ct.reference], settings())
