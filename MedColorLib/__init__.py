@@ -45,6 +45,7 @@ _WHERE = {
     "read_volume": "volume_io",
     "run_batch": "batch",
     "write_color_volume": "volume_io",
+    "write_confidence": "volume_io",
 }
 
 __all__ = list(_WHERE)

@@ -11,6 +11,7 @@ import logging
 import os
 import sys
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NoReturn
 
@@ -81,6 +82,9 @@ def _add_colorize(commands) -> None:
     )
     add("--plan", action="store_true", help="print what would be done and left out, and stop")
     add("--report", type=Path, metavar="F.json", help="write settings, plan, seconds, memory and hashes")
+    add(
+        "--confidence", type=Path, metavar="OUT2", help="write how far colours can be trusted, in per cent, as a volume"
+    )
     command.set_defaults(run=_colorize)
 
 
@@ -274,9 +278,9 @@ def _colorize(arguments) -> None:
     from .pipeline import colorize
     from .report import write_report
     from .resume import Resume, forget_run
-    from .volume_io import check_output_path, file_sha256, read_volume, write_color_volume
+    from .volume_io import check_output_path, file_sha256, read_volume, write_color_volume, write_confidence
 
-    settings = _settings(arguments)
+    settings = replace(_settings(arguments), confidence=arguments.confidence is not None)
     resume = Resume(max_bytes=_resume_bytes(arguments)) if arguments.resume else False
     if not arguments.plan:
         _check_outputs(arguments, check_output_path)
@@ -292,6 +296,8 @@ def _colorize(arguments) -> None:
         result = colorize(volume, arguments.reference, settings, progress=bar, resume=resume)
     result.report["input"]["file_sha256"] = file_sha256(arguments.input)
     write_color_volume(result, arguments.output)
+    if arguments.confidence:
+        write_confidence(result, arguments.confidence)
     if arguments.report:
         write_report(result.report, arguments.report)
     forget_run(result.report, resume)
@@ -333,11 +339,14 @@ def _check_outputs(arguments, check_output_path: Callable) -> None:
 
     if not arguments.output:
         raise SettingsError("colorize: name the result with -o OUT.nrrd (or use --plan)")
-    check_output_path(arguments.output)
-    if Path(arguments.output).resolve() == Path(arguments.input).resolve():
-        raise SettingsError(
-            f"colorize: {arguments.output} is the input; the result would replace it, name another file"
-        )
+    taken = {Path(arguments.input).resolve(): "the input"}
+    for path, role in ((arguments.output, "the result"), (arguments.confidence, "the confidence")):
+        if not path:
+            continue
+        check_output_path(path)
+        former = taken.setdefault(Path(path).resolve(), role)
+        if former != role:
+            raise SettingsError(f"colorize: {path} is {former}; {role} would replace it, name another file")
     if arguments.report:
         check_output_path(arguments.report, (".json",))
 

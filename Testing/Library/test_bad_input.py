@@ -126,6 +126,8 @@ def test_references(folder, capfd, name, words):
         (("-o", "nothing"), "nothing"),
         (("-o", "ct.nrrd"), "ct.nrrd is the input; the result would replace it"),
         (("-o", "./nothing/../ct.nrrd"), "is the input"),
+        (("--confidence", "ct.nrrd"), "ct.nrrd is the input; the confidence would replace it"),
+        (("-o", "out.nrrd", "--confidence", "out.nrrd"), "is the result; the confidence would replace it"),
         (("--report", "gone/report.json"), "gone does not exist"),
         (("--report", "report.txt"), "use one of .json"),
         (("--device", "cuda:99"), "device 'cuda:99' is not here; present: cpu"),

@@ -174,3 +174,25 @@ def test_killed_process_leaves_no_file_of_the_final_name(tmp_path: Path) -> None
     assert done.returncode == -9
     assert not (tmp_path / "a.nrrd").exists()
     assert all("unfinished" in entry.name and entry.name.startswith(".") for entry in tmp_path.iterdir())
+
+
+class TestConfidence:
+    @pytest.mark.parametrize("ending", [".nrrd", ".nii.gz"])
+    def test_scalars_on_the_same_grid(self, tmp_path, ending):
+        from MedColorLib import read_volume, write_confidence
+
+        matrix = np.array([[0.0, -0.5, 0, 3], [0.7, 0, 0, -8], [0, 0, 2.5, 11], [0, 0, 0, 1]])
+        values = np.random.default_rng(0).integers(0, 101, (3, 4, 5)).astype(np.uint8)
+        colored = ColorVolume(np.zeros((3, 4, 5, 3), np.uint8), matrix, confidence=values)
+        write_confidence(colored, tmp_path / f"trust{ending}")
+        back = read_volume(tmp_path / f"trust{ending}")
+        np.testing.assert_array_equal(back.array, values)
+        np.testing.assert_allclose(back.ijk_to_ras, matrix, atol=1e-6 if ending == ".nii.gz" else 0)
+
+    def test_none_to_write(self, tmp_path):
+        from MedColorLib import write_confidence
+
+        colored = ColorVolume(np.zeros((3, 4, 5, 3), np.uint8), np.eye(4))
+        with pytest.raises(InputError, match=r"holds no confidence; colour it with Settings\(confidence=True\)"):
+            write_confidence(colored, tmp_path / "trust.nrrd")
+        assert not list(tmp_path.iterdir())
