@@ -9,10 +9,13 @@ The data's way, one file a stage, one folder a choice of alternatives:
 | references | `references`, `color_sections`, `library`, `visible_human` | picture, folder, colour volume -> `Reference`s |
 | choice of references | `recommend`, `assignment` | likeness of descriptors -> a reference for each slice |
 | plan | `prepare`, `plan` | what will be done, what is left out and why |
-| contrast | `contrast` | scan's grey -> the photograph's contrast, for matching only |
+| orientation | `orientation`, `coarse` | which way up a photograph lies |
+| contrast | `contrast`, `coarse` | scan's grey -> the photograph's contrast, for matching only |
 | features | `features/` | grey slice -> five maps |
 | correspondence | `correspondence/`, `analogy`, `reconstruction`, `vote` | maps -> field -> matched colours T' |
+| confidence | `confidence` | there and back, and likeness -> how far a match counts |
 | colour | `color/`, `filters/`, `transfer` | T' and the scan's luminance -> sRGB slice |
+| coherence | `coherence`, `blending`, `paint` | evidence of neighbouring slices and references -> one colour |
 | volume out | `volume_io`, `report` | `ColorVolume` -> NRRD or NIfTI, JSON report |
 | rendering | `rendering/` | `ColorVolume` -> pictures |
 | interruption | `resume` | matches of an unfinished run, kept on disk |

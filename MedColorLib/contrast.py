@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .coarse import coarse_match
 from .intensity import apply_curve, histogram_match_curve
 
 LEAST_EXPLAINED = 0.2  # share of the luminance variance that the curve must explain; below it is noise of bad matches
@@ -89,21 +90,13 @@ def coarse_luminance(greys, masks, reference_grey, reference_mask) -> np.ndarray
     """Reference luminance seen through a coarse, contrast-invariant correspondence; (S, H, W)."""
     import torch
 
-    from .analogy import Context, deep_image_analogy
     from .correspondence.field import average_vote
-    from .features.embedded import Embedded
     from .vote import to_full_grid
 
-    layers = (5, 4)
-    target = Embedded().extract(torch.from_numpy(greys.astype(np.float32))[:, None], layers)
-    reference_planes = torch.from_numpy(reference_grey.astype(np.float32))[None, None]
-    reference = Embedded().extract(reference_planes, layers)
-    context = Context(position_weight=2.0, luminance_weight=0.0, target=None, reference=None)
-    match = deep_image_analogy(
-        target, reference, torch.from_numpy(masks), torch.from_numpy(reference_mask), stop_layer=4, context=context
-    )
+    match = coarse_match(greys, masks, reference_grey, reference_mask, position_weight=2.0)
     field = to_full_grid(match.field, match.layer, reference_grey.shape)
-    return average_vote(reference_planes, field)[:, 0].numpy()
+    planes = torch.from_numpy(reference_grey.astype(np.float32))[None, None]
+    return average_vote(planes, field)[:, 0].numpy()
 
 
 def regression_curve(grey: np.ndarray, seen: np.ndarray, bins: int = 32) -> np.ndarray:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from .coarse import coarse_match, mean_inside
 from .intensity import apply_curve, histogram_match_curve
 
 WAYS = {"as it is": (1, 1), "upside down": (-1, 1), "mirrored": (1, -1), "turned by half": (-1, -1)}
@@ -39,17 +40,7 @@ def choose_way(greys: np.ndarray, masks: np.ndarray, reference_grey: np.ndarray,
 def coarse_similarity(greys, masks, reference_grey, reference_mask) -> float:
     """Mean similarity inside the body of slices and reference at layer 4, whatever their contrasts."""
     import torch
-    from torch.nn.functional import adaptive_avg_pool2d
-
-    from .analogy import Context, deep_image_analogy
-    from .features.embedded import Embedded
 
     curve = histogram_match_curve(greys[masks], reference_grey[reference_mask])
-    slices = torch.from_numpy((apply_curve(greys, curve) * masks).astype(np.float32))[:, None]
-    target = Embedded().extract(slices, (5, 4))
-    reference = Embedded().extract(torch.from_numpy(reference_grey.astype(np.float32))[None, None], (5, 4))
-    body = torch.from_numpy(masks)
-    context = Context(position_weight=1.0, luminance_weight=0.0, target=None, reference=None)
-    found = deep_image_analogy(target, reference, body, torch.from_numpy(reference_mask), 4, context)
-    inside = adaptive_avg_pool2d(body.float(), found.similarity.shape[1:]) > 0.5
-    return float(found.similarity[inside].mean()) if inside.any() else 0.0
+    found = coarse_match(apply_curve(greys, curve) * masks, masks, reference_grey, reference_mask, position_weight=1.0)
+    return mean_inside(found.similarity, torch.from_numpy(masks))
