@@ -1,4 +1,8 @@
-"""Exhaustive search: all patches against all patches by one matrix product. No iteration, no chance, no wrong optimum."""
+"""Exhaustive search: all patches against all patches by matrix products. No iteration, no chance, no wrong optimum.
+
+On a CPU the similarities are made and read some rows of the target at a time, which stay in the cache: twice as fast
+as the whole matrix at once, and the same but for the rounding of the products.
+"""
 
 from __future__ import annotations
 
@@ -8,27 +12,31 @@ import torch
 from torch import Tensor
 
 _EXCLUDED = -1e4  # below any similarity of unit features
+_BLOCK_ENTRIES = 2**21  # similarities at a time on a CPU: 8 MB
 
 
-def similarity_volume(target: Tensor, reference: Tensor, radius: int) -> Tensor:
-    """Mean inner product of patches of side 2 * radius + 1: S[n, p, q] = mean over o of <target[p+o], reference[q+o]>.
+def similarity_volume(target: Tensor, reference: Tensor, radius: int, rows: tuple[int, int] | None = None) -> Tensor:
+    """Mean inner product of patches of side 2 * radius + 1: S[p, q] = mean over o of <target[p+o], reference[q+o]>.
 
     For unit features |x - y|^2 = 2 - 2 <x, y>, so the largest S is the smallest patch distance of Liao et al. 2017. The
     sum over a patch is a box sum along the diagonals of the (h, w, h2, w2) array: one product instead of
     (2 radius + 1)^2. Positions off either map count as 0.
 
     Args:
-        target: (C, h, w), one slice. reference: (C, h2, w2).
+        target: (C, h, w), one slice. reference: (C, h2, w2). Inner products are taken in their dtype, sums in float32.
+        rows: first and last + 1 row of the target; None for all.
 
     Returns:
-        (h * w, h2 * w2) float32 on the same device.
+        (rows * w, h2 * w2) float32 on the same device.
     """
-    h, w = target.shape[1:]
-    h2, w2 = reference.shape[1:]
-    product = (target.flatten(1).T @ reference.flatten(1)).float().view(h, w, h2, w2)
-    product = _diagonal_box_sum(product, 0, 2, radius)
+    (h, w), (h2, w2) = target.shape[1:], reference.shape[1:]
+    first, stop = rows or (0, h)
+    low, high = max(first - radius, 0), min(stop + radius, h)
+    patch_rows = target[:, low:high].flatten(1)
+    product = (patch_rows.T @ reference.flatten(1)).float().view(high - low, w, h2, w2)
+    product = _diagonal_box_sum(product, 0, 2, radius)[first - low : stop - low]
     product = _diagonal_box_sum(product, 1, 3, radius)
-    return product.view(h * w, h2 * w2).div_((2 * radius + 1) ** 2)
+    return product.view((stop - first) * w, h2 * w2).div_((2 * radius + 1) ** 2)
 
 
 def search(target: Tensor, reference: Tensor, radius: int, target_mask: Tensor, reference_mask: Tensor, both: bool):
@@ -42,23 +50,40 @@ def search(target: Tensor, reference: Tensor, radius: int, target_mask: Tensor, 
     Returns:
         field (N, h, w), similarity (N, h, w), reverse field (N, h2, w2) or None, reverse similarity or None.
     """
-    count = target.shape[0]
-    shape, shape2 = target.shape[2:], reference.shape[2:]
-    forward, backward = [], []
-    for n in range(count):
-        volume = similarity_volume(target[n], reference[n if len(reference) > 1 else 0], radius)
-        volume[:, ~reference_mask.reshape(-1)] = _EXCLUDED
-        forward.append(volume.max(dim=1))
+    found = [
+        _search_one(side, reference[n if len(reference) > 1 else 0], radius, target_mask[n], reference_mask, both)
+        for n, side in enumerate(target)
+    ]
+    field, similarity, reverse, reverse_similarity = (
+        torch.stack(values) if values[0] is not None else None for values in zip(*found)
+    )
+    return field, similarity, reverse, reverse_similarity
+
+
+def _search_one(
+    target: Tensor, reference: Tensor, radius: int, target_mask: Tensor, reference_mask: Tensor, both: bool
+):
+    (h, w), (h2, w2) = target.shape[1:], reference.shape[1:]
+    excluded = ~reference_mask.reshape(-1)
+    step = h if target.device.type != "cpu" else max(1, _BLOCK_ENTRIES // (w * h2 * w2))
+    forward = []
+    best = torch.full((h2 * w2,), -torch.inf, device=target.device)
+    position = torch.zeros(h2 * w2, dtype=torch.int64, device=target.device)
+    for first in range(0, h, step):
+        rows = first, min(first + step, h)
+        block = similarity_volume(target, reference, radius, rows)
+        block[:, excluded] = _EXCLUDED
+        forward.append(block.max(dim=1))
         if both:
             # lower still: positions whose column is excluded take an allowed row, too
-            volume[~target_mask[n].reshape(-1)] = 2 * _EXCLUDED
-            backward.append(_best_rows(volume))
-    field = torch.stack([m.indices for m in forward]).view(count, *shape)
-    similarity = torch.stack([m.values for m in forward]).view(count, *shape)
-    if not both:
-        return field, similarity, None, None
-    reverse = torch.stack([rows for _, rows in backward]).view(count, *shape2)
-    return field, similarity, reverse, torch.stack([values for values, _ in backward]).view(count, *shape2)
+            block[~target_mask[slice(*rows)].reshape(-1)] = 2 * _EXCLUDED
+            values, inside = _best_rows(block)
+            better = values > best
+            best = torch.where(better, values, best)
+            position = torch.where(better, inside + first * w, position)
+    field = torch.cat([m.indices for m in forward]).view(h, w)
+    similarity = torch.cat([m.values for m in forward]).view(h, w)
+    return field, similarity, *((position.view(h2, w2), best.view(h2, w2)) if both else (None, None))
 
 
 def _diagonal_box_sum(values: Tensor, axis: int, axis2: int, radius: int) -> Tensor:

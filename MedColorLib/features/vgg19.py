@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 import torch
 import torch.nn.functional as F
 
-from ..device import choose_device
+from ..device import choose_device, fast_dtype
 from ..errors import DeviceError, InputError, SettingsError, WeightsError
 from .architectures import ARCHITECTURES, POOL5_SIDE
 from .dense import DenseLayer
@@ -48,18 +48,6 @@ def fold_luminance(weight: torch.Tensor, gains: Sequence[float], offsets: Sequen
     gain = torch.as_tensor(gains, dtype=torch.float64).view(1, 3, 1, 1)
     offset = torch.as_tensor(offsets, dtype=torch.float64).view(1, 3, 1, 1)
     return torch.stack(((kernel * gain).sum(1), (kernel * (offset + gain * _CENTRE)).sum(1)), dim=1)
-
-
-def fast_dtype(device: torch.device) -> torch.dtype:
-    """Return bfloat16 where the hardware multiplies it (CUDA from Ampere, AVX-512 BF16, AMX), else float32."""
-    if device.type == "cuda":
-        return torch.bfloat16 if torch.cuda.get_device_capability(device) >= (8, 0) else torch.float32
-    if device.type == "cpu":
-        # torch has no public question for this; where it lacks the private one, float32 is always right.
-        for question in ("_is_avx512_bf16_supported", "_is_amx_tile_supported"):
-            if getattr(torch.cpu, question, lambda: False)():
-                return torch.bfloat16
-    return torch.float32
 
 
 @contextlib.contextmanager

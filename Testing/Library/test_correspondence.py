@@ -317,3 +317,26 @@ class TestPatchMatch:
         generator = torch.Generator().manual_seed(0)
         _, found = patchmatch.refine(target, reference, start, everywhere(24, 24), 1, 24, 6, generator)
         assert (best - found).mean() < 0.02 and (found <= best + 1e-5).all()
+
+
+class TestBlocks:
+    """Rows at a time, as on a CPU, against the whole matrix at once."""
+
+    @pytest.mark.parametrize("shape", [(7, 5), (1, 9), (9, 1)])
+    @pytest.mark.parametrize("radius", [1, 2])
+    def test_same_matches(self, monkeypatch, shape, radius):
+        generator = torch.Generator().manual_seed(3)
+        target, reference = (torch.randn(n, 6, *shape, generator=generator) for n in (2, 1))
+        masks = torch.rand(2, *shape, generator=generator) > 0.3, torch.rand(shape, generator=generator) > 0.3
+        whole = exact.search(target, reference, radius, *masks, True)
+        monkeypatch.setattr(exact, "_BLOCK_ENTRIES", 1)  # a row at a time
+        for got, expected in zip(exact.search(target, reference, radius, *masks, True), whole):
+            torch.testing.assert_close(got, expected, rtol=0, atol=1e-6)  # rounding of the products
+
+    def test_half_products_agree_within_their_digits(self):
+        generator = torch.Generator().manual_seed(4)
+        sides = [torch.nn.functional.normalize(torch.randn(1, 64, 12, 12, generator=generator), dim=1) for _ in range(2)]
+        masks = torch.ones(1, 12, 12, dtype=torch.bool), torch.ones(12, 12, dtype=torch.bool)
+        _, precise, _, _ = exact.search(*sides, 1, *masks, False)
+        _, halved, _, _ = exact.search(*(side.bfloat16() for side in sides), 1, *masks, False)
+        assert 0 < (precise - halved).abs().max() < 2.0**-8
