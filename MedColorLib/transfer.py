@@ -105,8 +105,8 @@ def transfer(
 
 def to_picture(lab: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, int]:
     """(rows, cols, 3) uint8 sRGB of L* a* b*, black outside the mask; number of pixels drawn into the gamut."""
-    rgb, clipped = lab_to_srgb_in_gamut(lab)
-    rgb[~mask] = 0
+    rgb = np.zeros(lab.shape, np.uint8)
+    rgb[mask], clipped = lab_to_srgb_in_gamut(lab[mask])
     return rgb, clipped
 
 

@@ -70,6 +70,7 @@ def lab_to_srgb_in_gamut(lab: Array) -> tuple[Array, int]:
     outside = _outside(flat) | (black & (flat > HALF_LEVEL).any(-1))
     changed = int(outside.sum())
     if changed:
+        outside &= ~black  # black needs no search
         wanted = wanted[outside]
         flat[outside] = _reduced_chroma(xp.concatenate([xp.clip(wanted[:, :1], 0.0, 100.0), wanted[:, 1:]], -1))
         flat[black] = 0.0

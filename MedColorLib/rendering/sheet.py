@@ -51,6 +51,7 @@ def contact_sheet(
     opacity: float = DEFAULT_OPACITY,
     centre: tuple[float, float, float] | None = None,
     voxel_budget: int = VOXEL_BUDGET,
+    titles: tuple[str, str] = ("Scan", "Coloured"),
 ) -> np.ndarray:
     """Three views and three sections; each of the grey volume beside its coloured version.
 
@@ -64,6 +65,7 @@ def contact_sheet(
         centre: where the sections meet and the body is cut open, in fractions 0..1 of its extent along R, A, S;
             without it the centroid of all that is not black.
         voxel_budget: see `render_view`.
+        titles: above the left and the right half.
 
     Returns:
         (H, W, 3) uint8 RGB. Empty panels when `color` is all black.
@@ -80,7 +82,7 @@ def contact_sheet(
         sheet = Sheet(size, (3, 2), ("",), FOOTNOTE)
         view_cells, section_cells = (0, 1, 2), (3, 4, 5)
     else:
-        sheet = Sheet(size, (2, 3), ("Scan", "Coloured"), FOOTNOTE)
+        sheet = Sheet(size, (2, 3), titles, FOOTNOTE)
         view_cells, section_cells = (0, 2, 4), (1, 3, 5)
         require_same_grid(grey, color)
     if frame is None:
@@ -106,6 +108,7 @@ def render_to_png(
     opacity: float = DEFAULT_OPACITY,
     centre: tuple[float, float, float] | None = None,
     voxel_budget: int = VOXEL_BUDGET,
+    titles: tuple[str, str] = ("Scan", "Coloured"),
 ) -> Path:
     """Draw the `contact_sheet` (see there) and write it to `path`; an unfinished file never bears that name.
 
@@ -123,7 +126,8 @@ def render_to_png(
         raise OutputError(f"{target}: the folder does not exist; create it first")
     if target.is_dir():
         raise OutputError(f"{target}: this is a folder; choose the name of a file")
-    sheet = contact_sheet(grey, color, size, window=window, opacity=opacity, centre=centre, voxel_budget=voxel_budget)
+    options = {"window": window, "opacity": opacity, "centre": centre, "voxel_budget": voxel_budget, "titles": titles}
+    sheet = contact_sheet(grey, color, size, **options)
     write_png(target, sheet)
     return target
 
