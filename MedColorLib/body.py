@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .errors import InputError
-from .intensity import Window, apply_window, finite_sample, strided
+from .intensity import Window, apply_window, strided
 
 _WORK_SIDE = 256  # in-plane pixels at which the outline is found; finer adds noise and time, not outline
 _ENDS = (0.5, 99.5)  # percentiles: one bad voxel does not set the scale
@@ -89,10 +89,11 @@ def find_body(array: np.ndarray) -> Body:
     """
     from scipy import ndimage
 
+    sample = strided(array)
     for highest in (_ENDS[1], 98.0, 95.0):  # metal of 1 or 2 % of the voxels hides the patient from the first
-        measured = _measured_range(array, highest)
-        level = otsu_threshold(_normalised(strided(array), measured))
-        coarse = _largest_parts(_opened(_coarse_planes(array, measured) > level))
+        measured = _measured_range(array, sample, highest)
+        level = otsu_threshold(_normalised(sample, measured))
+        coarse = _largest_parts(_opened(_coarse_mask(array, measured, level)))
         if coarse.any():
             break
     else:
@@ -114,14 +115,14 @@ class _Measured:
     missing_as: float
 
 
-def _measured_range(array: np.ndarray, highest: float) -> _Measured:
-    """Tell padding from measurement.
+def _measured_range(array: np.ndarray, sample: np.ndarray, highest: float) -> _Measured:
+    """Tell padding from measurement, by a sample of the values.
 
     Scanners fill what lies outside their round field of view with one value far below the rest (-2000, -3024, -32768),
     and exports with NaN. Between padding and air, Otsu would find a circle. Where the values next to the missing ones are
     air, the missing ones are air, too; where they are not, the missing ones are the only air there is.
     """
-    halves = finite_sample(array) / 2  # the difference of extremes stays finite
+    halves = sample[np.isfinite(sample)] / 2  # the difference of extremes stays finite
     floor = halves.min()
     above = halves[halves > floor]
     if above.size and above.min() - floor > 0.2 * np.ptp(np.percentile(above, _ENDS)) > 0:
@@ -154,17 +155,18 @@ def _normalised(values: np.ndarray, measured: _Measured) -> np.ndarray:
     return grey
 
 
-def _coarse_planes(array: np.ndarray, measured: _Measured) -> np.ndarray:
+def _coarse_mask(array: np.ndarray, measured: _Measured, level: float) -> np.ndarray:
+    """(k, h, w) bool: normalised values above `level`, on the reduced raster."""
     import cv2
 
     rows, cols = array.shape[1:]
     scale = min(1.0, _WORK_SIDE / max(rows, cols))
     size = (max(1, round(cols * scale)), max(1, round(rows * scale)))
-    out = np.empty((len(array), size[1], size[0]), np.float32)
+    out = np.empty((len(array), size[1], size[0]), bool)
     for k, plane in enumerate(array):
         values = _normalised(plane, measured)
         values = cv2.resize(values, size, interpolation=cv2.INTER_AREA) if scale < 1 else values
-        out[k] = cv2.GaussianBlur(values, (0, 0), 0.7)  # single noisy pixels do not make outline
+        out[k] = cv2.GaussianBlur(values, (0, 0), 0.7) > level  # single noisy pixels do not make outline
     return out
 
 
@@ -174,20 +176,49 @@ def _opened(mask: np.ndarray) -> np.ndarray:
 
     side = 2 * max(1, round(max(mask.shape[1:]) / 128)) + 1
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
-    opened = np.stack([cv2.morphologyEx(plane.astype(np.uint8), cv2.MORPH_OPEN, kernel) > 0 for plane in mask])
+    opened = np.empty_like(mask)
+    for k, plane in enumerate(mask):
+        opened[k] = cv2.morphologyEx(plane.astype(np.uint8), cv2.MORPH_OPEN, kernel) > 0
     return opened if opened.any() else mask
 
 
 def _largest_parts(mask: np.ndarray, fraction: float = 0.1) -> np.ndarray:
-    """The largest 3-D connected part, and others (arms) of at least `fraction` of its size."""
-    from scipy import ndimage
+    """The largest 3-D connected part, and others (arms) of at least `fraction` of its size.
 
-    labels, count = ndimage.label(mask)
-    if count <= 1:
+    Parts are labelled plane by plane and joined where neighbouring planes overlap: labels of a whole stack would take
+    more memory than the volume.
+    """
+    from scipy import ndimage, sparse
+
+    sizes, links, first = [], [], 0  # of the parts of planes; links: pairs of parts that overlap, by number
+    below, below_first = np.zeros(mask.shape[1:], np.int32), 0
+    for plane in mask:
+        labels, count = ndimage.label(plane)
+        sizes.append(np.bincount(labels.ravel(), minlength=count + 1)[1:])
+        links.append(_overlaps(below, labels) + np.array([[below_first - 1], [first - 1]]))
+        below, below_first, first = labels, first, first + count
+    if first <= 1:
         return mask
-    sizes = np.bincount(labels.ravel())
-    sizes[0] = 0
-    return (sizes >= fraction * sizes.max())[labels]
+    low, high = np.concatenate(links, axis=1)
+    graph = sparse.coo_matrix((np.ones(low.size, bool), (low, high)), (first, first))
+    _, part = sparse.csgraph.connected_components(graph, directed=False)
+    total = np.bincount(part, np.concatenate(sizes))
+    large = (total >= fraction * total.max())[part]
+    kept, first = np.empty_like(mask), 0
+    for k, plane in enumerate(mask):
+        labels, count = ndimage.label(plane)
+        kept[k] = np.concatenate([[False], large[first : first + count]])[labels]
+        first += count
+    return kept
+
+
+def _overlaps(below: np.ndarray, above: np.ndarray) -> np.ndarray:
+    """(2, n) int64: which labels of two planes lie on each other, 0 (nothing) left out."""
+    both = (below > 0) & (above > 0)
+    pairs = np.stack([below[both], above[both]]).astype(np.int64)
+    if pairs.shape[1]:
+        pairs = pairs[:, np.diff(pairs, axis=1, prepend=0).any(axis=0)]  # once for a run along a row
+    return np.unique(pairs, axis=1)
 
 
 def _filled(plane: np.ndarray, radius: int, ndimage) -> np.ndarray:

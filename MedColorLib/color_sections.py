@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from .errors import InputError
-from .reference import Reference
+from .reference import Frame, Reference
 from .slices import slice_order
 from .voxel_data import title
 
@@ -55,10 +55,8 @@ def sections(rgb: np.ndarray, ijk_to_ras: np.ndarray, name: str, inside: np.ndar
     found = []
     for k in chosen:
         mask = ndimage.binary_fill_holes(masks[k])
-        rows, cols = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
-        box = np.s_[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1]
-        picture, cover = np.ascontiguousarray(view[k][box]), np.ascontiguousarray(mask[box])
-        found.append(Reference(picture, cover, f"{name} slice {k}", 1 - float(mask.mean()), group))
+        frame, removed = Frame.around(mask), 1 - float(mask.mean())
+        found.append(Reference(frame.cut(view[k]), frame.cut(mask), f"{name} slice {k}", removed, group, frame=frame))
     return found
 
 

@@ -16,12 +16,13 @@ import numpy as np
 
 from .errors import InputError
 from .volume import Volume
-from .voxel_data import LPS_TO_RAS, check_size, natural_key
+from .voxel_data import LPS_TO_RAS, check_size, has_temporary_room, natural_key, temporarily_mapped
 
 DICOM_ENDINGS = (".dcm", ".dicom", ".ima")
 _SAME_DIRECTION = 1e-3  # distance of the direction cosines; headers round them to about 1e-6
 _SAME_SPACING = 1e-3  # relative
 _GAP = 1.5  # a step of more than this many median steps lacks a slice
+IN_MEMORY = 1 << 30  # bytes of voxels; a series of more is decoded into a temporary file
 _UNEVEN = 0.01  # relative deviation of a step that is worth a note
 
 
@@ -98,7 +99,7 @@ def read_dicom(files: Sequence[Path], max_bytes: int, wanted: Path | None = None
             notes.append(f"{len(files) - len(headers)} DICOM files without a readable image were left out")
         chosen = _largest(headers, wanted, notes)
         slices, ijk_to_ras = _placed(chosen, notes)
-        array = _pixels(slices, max_bytes)
+        array = _pixels(slices, max_bytes, notes)
     if slices[0].inverted:
         notes.append("MONOCHROME1: larger values are meant to look darker; the values are kept as they are")
     return Volume(array, ijk_to_ras, _window(slices, notes), slices[0].label, tuple(notes))
@@ -261,26 +262,39 @@ def _step(height: np.ndarray, positions: np.ndarray, normal: np.ndarray, first: 
     return per_mm * (float(height[-1] - height[0]) / (len(height) - 1) if uniform else median)
 
 
-def _pixels(slices: list[_Slice], max_bytes: int) -> np.ndarray:
-    import SimpleITK as sitk
-
+def _pixels(slices: list[_Slice], max_bytes: int, notes: list[str]) -> np.ndarray:
+    """The voxels, in memory, or, where they are many and the disk has room, in a temporary file that is mapped."""
     columns, rows, frames = slices[0].size
     dtype = np.result_type(*(member.dtype for member in slices))  # rescale may differ from slice to slice (PET)
     if dtype == np.float64 and all(member.bits <= 16 for member in slices):
         dtype = np.dtype(np.float32)  # holds scaled 16-bit numbers to 6e-8
     shape = (len(slices) * frames, rows, columns)
-    check_size(shape, dtype, max_bytes)
+    if check_size(shape, dtype, max_bytes) > IN_MEMORY and has_temporary_room(shape, dtype):
+        notes.append(
+            f"more than {IN_MEMORY / 2**30:g} GiB: the decoded slices are in a nameless temporary file, not in memory"
+        )
+        return temporarily_mapped((plane for decoded in _decoded(slices) for plane in decoded), shape, dtype)
     array = np.empty(shape, dtype)
+    for number, decoded in enumerate(_decoded(slices)):
+        array[number * frames : (number + 1) * frames] = decoded
+    return array
+
+
+def _decoded(slices: list[_Slice]) -> Iterator[np.ndarray]:
+    """(frames, rows, columns) of one file after the other."""
+    import SimpleITK as sitk
+
     reader = sitk.ImageFileReader()
     reader.SetImageIO("GDCMImageIO")
-    for number, member in enumerate(slices):
+    for member in slices:
         reader.SetFileName(str(member.path))
         try:
             decoded = sitk.GetArrayFromImage(reader.Execute())
         except RuntimeError as error:
             raise InputError(f"DICOM slice {member.instance:g} cannot be decoded; export the series again") from error
-        array[number * frames : (number + 1) * frames] = decoded
-    return array
+        if decoded.shape[::-1] != tuple(member.size):
+            raise InputError(f"DICOM slice {member.instance:g} is not as large as its header says; export it again")
+        yield decoded
 
 
 def _window(slices: list[_Slice], notes: list[str]) -> tuple[float, float] | None:

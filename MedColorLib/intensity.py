@@ -22,16 +22,30 @@ class Window:
     source: str
 
 
-def strided(array: np.ndarray, limit: int = _SAMPLE_LIMIT) -> np.ndarray:
-    """Values of at most `limit` evenly strided voxels, float64, 1-D. Deterministic."""
-    flat = np.asarray(array).reshape(-1)
-    step = -(-flat.size // limit)
-    return flat[:: step | 1].astype(np.float64)  # odd: does not stay in the same columns of a row of 2^n
+def strided(array: np.ndarray, limit: int = _SAMPLE_LIMIT, mask: np.ndarray | None = None) -> np.ndarray:
+    """Values of at most `limit` evenly strided voxels, float64, 1-D. Deterministic.
+
+    They are taken plane by plane: neither a transposed view nor the voxels inside `mask` (same shape, bool) are copied
+    as a whole.
+    """
+    array = np.asarray(array)
+    total = array.size if mask is None else int(np.count_nonzero(mask))
+    step = -(-total // limit) | 1  # odd: does not stay in the same columns of a row of 2^n
+    if array.ndim < 2 or (mask is None and array.flags.c_contiguous):
+        return (array if mask is None else array[mask]).reshape(-1)[::step].astype(np.float64)
+    sample = np.empty(-(-total // step))
+    passed = taken = 0
+    for n, plane in enumerate(array):
+        flat = plane.reshape(-1) if mask is None else plane[mask[n]]
+        values = flat[-passed % step :: step]
+        sample[taken : taken + values.size] = values
+        passed, taken = passed + flat.size, taken + values.size
+    return sample
 
 
-def finite_sample(array: np.ndarray, limit: int = _SAMPLE_LIMIT) -> np.ndarray:
+def finite_sample(array: np.ndarray, limit: int = _SAMPLE_LIMIT, mask: np.ndarray | None = None) -> np.ndarray:
     """The finite ones of `strided`."""
-    values = strided(array, limit)
+    values = strided(array, limit, mask)
     return values[np.isfinite(values)]
 
 
@@ -84,7 +98,7 @@ def choose_window(
         if not (np.isfinite([low, high]).all() and low < high):
             raise SettingsError(f"window: expected finite LO < HI, got {low:g} {high:g}")
         return Window(low, high, "given")
-    sample = finite_sample(array if body is None else array[body])
+    sample = finite_sample(array, mask=body)
     if sample.size == 0:
         raise InputError("window: the body holds no finite value; give a window (LO HI)")
     note = ""

@@ -16,12 +16,13 @@ import os
 import re
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from .errors import Cancelled, InputError, OutputError, SettingsError
-from .reference import PICTURE_SUFFIXES, Reference, prepare_reference, read_picture
+from .reference import PICTURE_SUFFIXES, Frame, Reference, prepare_reference, read_picture
 from .voxel_data import natural_key
 
 log = logging.getLogger("MedColor")
@@ -190,14 +191,8 @@ def read_reference(path: Path) -> Reference:
     mask = rgb.any(axis=2)
     if not mask.any():
         raise InputError(f"reference {path.name}: the picture is black; make the library again")
-    return Reference(*cut(rgb, mask), path.stem, 1 - float(mask.mean()))
-
-
-def cut(rgb: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Picture (h, w, 3) and mask (h, w) cut to the box of the mask, which must not be empty."""
-    rows, cols = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
-    box = np.s_[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1]
-    return np.ascontiguousarray(rgb[box]), np.ascontiguousarray(mask[box])
+    frame = Frame.around(mask)
+    return Reference(frame.cut(rgb), frame.cut(mask), path.stem, 1 - float(mask.mean()), frame=frame)
 
 
 def shrunk(reference: Reference, long_side: float) -> Reference:
@@ -213,7 +208,7 @@ def shrunk(reference: Reference, long_side: float) -> Reference:
     total = cv2.resize(colors, size, interpolation=cv2.INTER_AREA)
     rgb = np.rint(np.clip(total / np.maximum(cover, 1e-6)[..., None], 0, 255)).astype(np.uint8)
     mask = cover > 0.5
-    return Reference(rgb, mask, reference.name, reference.removed, reference.group, reference.credit)
+    return replace(reference, rgb=rgb, mask=mask)
 
 
 class LibraryWriter:

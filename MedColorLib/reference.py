@@ -13,6 +13,25 @@ PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")  # of file
 
 
 @dataclass(frozen=True)
+class Frame:
+    """The part of a picture that was kept: `shape` (h, w) of the whole picture, (first, behind the last) row and column."""
+
+    shape: tuple[int, int]
+    rows: tuple[int, int]
+    cols: tuple[int, int]
+
+    @classmethod
+    def around(cls, mask: np.ndarray) -> Frame:
+        """The bounding box of a mask (h, w), which must not be empty."""
+        rows, cols = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
+        return cls(mask.shape, (int(rows[0]), int(rows[-1]) + 1), (int(cols[0]), int(cols[-1]) + 1))
+
+    def cut(self, picture: np.ndarray) -> np.ndarray:
+        """That part of a picture (h, w[, c]); a contiguous copy."""
+        return np.ascontiguousarray(picture[slice(*self.rows), slice(*self.cols)])
+
+
+@dataclass(frozen=True)
 class Reference:
     """A prepared colour reference, cut to its tissue.
 
@@ -23,6 +42,7 @@ class Reference:
         removed: fraction of the photograph that is not tissue.
         group: the folder, library or colour volume that it is one of many of, for the plan.
         credit: whom to name with a result.
+        frame: which part of its picture it is; None where that is not known.
     """
 
     rgb: np.ndarray
@@ -31,6 +51,7 @@ class Reference:
     removed: float
     group: str = ""
     credit: str = ""
+    frame: Frame | None = None
 
 
 def read_picture(path: str) -> np.ndarray:
@@ -92,9 +113,8 @@ def prepare_reference(rgb: np.ndarray, name: str = "reference") -> Reference:
             f"reference {name}: no tissue found ({100 * fraction:.1f} % of the picture); "
             "use a section on a plain or blue background that fills the picture"
         )
-    rows, cols = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
-    box = np.s_[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1]
-    return Reference(np.ascontiguousarray(rgb[box]), np.ascontiguousarray(mask[box]), name, 1 - fraction)
+    frame = Frame.around(mask)
+    return Reference(frame.cut(rgb), frame.cut(mask), name, 1 - fraction, frame=frame)
 
 
 def on_grid(reference: Reference, grid: Grid) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -38,7 +38,7 @@ _META_TYPES = {
 
 def read_meta_image(path: Path, max_bytes: int) -> Volume:
     """A scalar MetaImage with three axes; voxels attached or detached, raw, zlib or text."""
-    fields, end = _meta_fields(path)
+    fields, end = meta_fields(path)
     try:
         shape = tuple(int(size) for size in reversed(fields["DimSize"].split()))
         channels, skip = int(fields.get("ElementNumberOfChannels", 1)), int(fields.get("HeaderSize", 0))
@@ -64,7 +64,7 @@ def read_meta_image(path: Path, max_bytes: int) -> Volume:
     return Volume(array, matrix, name=title(path))
 
 
-def _meta_fields(path: Path) -> tuple[dict[str, str], int]:
+def meta_fields(path: Path) -> tuple[dict[str, str], int]:
     """The header's fields, and where its last line ends."""
     fields: dict[str, str] = {}
     with path.open("rb") as file:

@@ -23,8 +23,8 @@ from .errors import InputError, OutputError
 from .nrrd_volume import nrrd_array, nrrd_axes, nrrd_header, nrrd_matrix, read_nrrd
 from .picture_volume import PICTURE_ENDINGS, read_picture_folder, read_tiff
 from .volume import ColorVolume, Volume
-from .volume_formats import load_nifti, nifti_array, nifti_matrix, read_meta_image, read_nifti
-from .voxel_data import IS_FLAT, LPS_TO_RAS, check_size, title
+from .volume_formats import load_nifti, meta_fields, nifti_array, nifti_matrix, read_meta_image, read_nifti
+from .voxel_data import IS_FLAT, LPS_TO_RAS, check_size, data_file, title
 
 MAX_BYTES = 16 * 2**30
 COLOR_ENDINGS = (".nrrd", ".nii.gz", ".nii")
@@ -42,7 +42,8 @@ def read_volume(path: str | os.PathLike, *, max_bytes: int = MAX_BYTES) -> Volum
         max_bytes: refuse more voxels than this before taking memory for them.
 
     Returns:
-        `Volume`, (k, j, i), native byte order, DICOM and NIfTI rescale applied.
+        `Volume`, (k, j, i), DICOM and NIfTI rescale applied. The array is native and in memory, or, of an uncompressed
+        NRRD or MetaImage, the file itself: read-only, mapped, in the file's byte order (see `voxel_data.read_voxels`).
 
     Raises:
         InputError: missing, unreadable, truncated, not an image, colour, not three-dimensional, or too large.
@@ -77,12 +78,27 @@ def write_color_volume(volume: ColorVolume, path: str | os.PathLike) -> None:
     Raises:
         OutputError: unknown ending, folder missing or read-only, disk full.
     """
-    path = Path(path)
-    write = _write_color_nrrd if check_output_path(path) == ".nrrd" else _write_color_nifti
-    if write is _write_color_nifti and max(volume.rgb.shape) > _NIFTI_MAX:
+    _write(volume.rgb, volume.ijk_to_ras, Path(path))
+
+
+def write_confidence(volume: ColorVolume, path: str | os.PathLike) -> None:
+    """Write the confidence of a coloured volume, per cent as 8-bit scalars on the same grid; endings and errors as there.
+
+    Raises:
+        OutputError: as `write_color_volume`.
+        InputError: the volume has none; colour it with `Settings(confidence=True)`.
+    """
+    if volume.confidence is None:
+        raise InputError(f"{volume.name}: holds no confidence; colour it with Settings(confidence=True)")
+    _write(volume.confidence, volume.ijk_to_ras, Path(path))
+
+
+def _write(array: np.ndarray, ijk_to_ras: np.ndarray, path: Path) -> None:
+    write = _write_nrrd if check_output_path(path) == ".nrrd" else _write_nifti
+    if write is _write_nifti and max(array.shape) > _NIFTI_MAX:
         raise OutputError(f"{path}: NIfTI holds at most {_NIFTI_MAX} voxels along an axis; write .nrrd")
     with atomic_output(path) as temporary:
-        write(volume, temporary)
+        write(array, ijk_to_ras, temporary)
 
 
 def check_output_path(path: str | os.PathLike, endings: tuple[str, ...] = COLOR_ENDINGS) -> str:
@@ -137,6 +153,29 @@ def file_sha256(path: str | os.PathLike) -> str:
         for file in sorted(_tree(source), key=lambda file: file.relative_to(source).as_posix()):
             total.update(_digest(file))
         return total.hexdigest()
+
+
+def input_sha256(path: str | os.PathLike) -> str:
+    """SHA-256 (hex) over the files that one volume is read from, in the order of their names.
+
+    These are a file and the data file that its header names, or the files of a folder without the folders in it.
+
+    Raises:
+        InputError: missing, unreadable, or a header without its data.
+    """
+    with _input_errors(path) as source:
+        files = sorted(_files(source)) if source.is_dir() else [source, *_detached(source)]
+        return hashlib.sha256(b"".join(_digest(file) for file in files)).hexdigest()
+
+
+def _detached(path: Path) -> list[Path]:
+    """The data file of a header, if it has one."""
+    name = None
+    if _ending(path, (".nrrd", ".nhdr")):
+        name = nrrd_header(path).get("data file")
+    elif _ending(path, (".mha", ".mhd")):
+        name = meta_fields(path)[0]["ElementDataFile"]
+    return [] if name is None or name.upper() == "LOCAL" else [data_file(path, name)]
 
 
 def _digest(file: Path) -> bytes:
@@ -241,32 +280,53 @@ def _read_color_nifti(path: Path, max_bytes: int) -> ColorVolume:
     return ColorVolume(rgb, nifti_matrix(image, []), name=title(path))
 
 
-def _write_color_nrrd(volume: ColorVolume, path: Path) -> None:
+class _Uncopied(np.ndarray):
+    """pynrrd packs pieces of `tobytes()`, which would be a copy of the whole volume; a look at it will do."""
+
+    def tobytes(self, order: str = "C") -> memoryview:
+        return np.ascontiguousarray(self).data.cast("B")
+
+
+def _write_nrrd(array: np.ndarray, ijk_to_ras: np.ndarray, path: Path) -> None:
+    """(k, j, i) scalars or (k, j, i, 3) RGB, uint8."""
     import nrrd
 
-    lps = LPS_TO_RAS @ volume.ijk_to_ras + 0.0  # + 0.0 turns -0.0 into 0.0
+    lps = LPS_TO_RAS @ ijk_to_ras + 0.0  # + 0.0 turns -0.0 into 0.0
+    colors = array.ndim - 3
     header = {
         "space": "left-posterior-superior",
-        "kinds": ["RGB-color", "domain", "domain", "domain"],
-        "space directions": np.vstack([np.full(3, np.nan), lps[:3, :3].T]),
+        "kinds": ["RGB-color"] * colors + ["domain"] * 3,
+        "space directions": np.vstack([np.full((colors, 3), np.nan), lps[:3, :3].T]),
         "space origin": lps[:3, 3],
         "encoding": "gzip",
     }
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)  # pynrrd's way to ask for the time, from Python 3.12 on
-        nrrd.write(str(path), volume.rgb, header, compression_level=3, index_order="C")
+        nrrd.write(str(path), array.view(_Uncopied), header, compression_level=3, index_order="C")
+    _blank_time(path)
 
 
-def _write_color_nifti(volume: ColorVolume, path: Path) -> None:
+def _blank_time(path: Path) -> None:
+    """Overwrite pynrrd's comment with the time of writing, so that equal volumes make equal files."""
+    with path.open("r+b") as file:
+        while (line := file.readline(1024)).startswith((b"NRRD", b"#")):
+            if line.startswith(b"# on "):
+                file.seek(-len(line), os.SEEK_CUR)
+                file.write(b"#".ljust(len(line) - 1) + b"\n")
+                file.seek(0, os.SEEK_CUR)  # between writing and reading
+
+
+def _write_nifti(array: np.ndarray, ijk_to_ras: np.ndarray, path: Path) -> None:
+    """(k, j, i) scalars or (k, j, i, 3) RGB, uint8."""
     import nibabel as nib
 
-    data = np.ascontiguousarray(volume.rgb).view(_RGB24)[..., 0].T
-    image = nib.Nifti1Image(data, volume.ijk_to_ras)
+    data = array.T if array.ndim == 3 else np.ascontiguousarray(array).view(_RGB24)[..., 0].T
+    image = nib.Nifti1Image(data, ijk_to_ras)
     image.header.set_xyzt_units("mm")
-    image.set_sform(volume.ijk_to_ras, code=1)
-    axes = volume.ijk_to_ras[:3, :3] / volume.spacing_mm
+    image.set_sform(ijk_to_ras, code=1)
+    axes = ijk_to_ras[:3, :3] / np.linalg.norm(ijk_to_ras[:3, :3], axis=0)
     if np.abs(axes.T @ axes - np.eye(3)).max() < _ORTHONORMAL:
-        image.set_qform(volume.ijk_to_ras, code=1)
+        image.set_qform(ijk_to_ras, code=1)
     with path.open("wb") as file:  # nib.save would leave the file open when the disk is full
         if path.suffix.lower() != ".gz":
             image.to_stream(file)

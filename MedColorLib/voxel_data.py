@@ -12,8 +12,10 @@ import io
 import math
 import os
 import re
+import shutil
+import tempfile
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -84,7 +86,11 @@ def data_file(header: Path, name: str) -> Path:
 def read_voxels(
     source: Path, start: int, shape: Sequence[int], dtype: np.dtype, encoding: str, *, lines: int = 0, skip: int = 0
 ) -> np.ndarray:
-    """The voxels of a NRRD or MetaImage, slowest axis first, in the machine's byte order.
+    """The voxels of a NRRD or MetaImage, slowest axis first.
+
+    Packed and text voxels are read, in the machine's byte order. Raw ones are mapped: a read-only array in the file's
+    byte order whose pages the system reads when they are used and drops when memory is short. The file must stay as it
+    is while the array is in use.
 
     Args:
         source: the file that holds them, from byte `start` on.
@@ -105,9 +111,33 @@ def read_voxels(
             if encoding == "text":
                 return _parsed(file.read().split(), shape, dtype.newbyteorder("="))
             stream = _stream(file, encoding, skip, math.prod(shape) * dtype.itemsize)
-            return _filled(stream, shape, dtype).astype(dtype.newbyteorder("="), copy=False)
+            if encoding == "raw":
+                return np.asarray(np.memmap(file, dtype, "r", file.tell(), tuple(shape)))
+            array = _filled(stream, shape, dtype)
+            return array if dtype.isnative else array.byteswap(inplace=True).view(dtype.newbyteorder("="))
         except (EOFError, zlib.error, gzip.BadGzipFile) as error:
             raise InputError(f"the voxels are cut short or damaged ({error}); copy or export the file again") from error
+
+
+def has_temporary_room(shape: Sequence[int], dtype: np.dtype) -> bool:
+    """Whether the folder for temporary files has room for `temporarily_mapped`."""
+    return shutil.disk_usage(tempfile.gettempdir()).free > math.prod(shape) * dtype.itemsize
+
+
+def temporarily_mapped(planes: Iterable[np.ndarray], shape: Sequence[int], dtype: np.dtype) -> np.ndarray:
+    """Write planes to a temporary file one by one and map it, read-only.
+
+    The file has no name (POSIX) or is marked for deletion (Windows) from the start: the system removes it when the array
+    is gone, also when the process is killed. Nobody else can read it.
+
+    Args:
+        planes: in order; together of `shape`.
+    """
+    with tempfile.TemporaryFile() as file:
+        for plane in planes:
+            file.write(np.ascontiguousarray(plane, dtype).data)
+        file.flush()
+        return np.asarray(np.memmap(file, dtype, "r", 0, tuple(shape)))
 
 
 def _stream(file: io.BufferedReader, encoding: str, skip: int, size: int) -> io.IOBase:

@@ -76,6 +76,15 @@ def two_threads() -> None:
         torch.set_num_threads(2)
 
 
+@pytest.fixture(autouse=True, scope="session")
+def own_features_folder(tmp_path_factory):
+    """Features that tests keep do not go to the user's cache."""
+    folder = tmp_path_factory.mktemp("features")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("MedColorLib.features.kept.kept_folder", lambda: folder)
+        yield
+
+
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
     """Folder of the real images; they are not part of the project."""
