@@ -7,6 +7,7 @@ The data's way, one file a stage, one folder a choice of alternatives:
 | volume in | `volume_io`, `volume` | file -> `Volume` (k, j, i) with its place in space |
 | slices | `slices`, `body`, `intensity`, `reference`, `grid` | volume -> transverse slices, body, display grey on one raster |
 | references | `references`, `color_sections`, `library`, `visible_human` | picture, folder, colour volume -> `Reference`s |
+| tissue guard | `guard`, `label_picture` | label volume, label pictures -> groups that matching and colour do not cross |
 | choice of references | `recommend`, `assignment` | likeness of descriptors -> a reference for each slice |
 | plan | `prepare`, `plan` | what will be done, what is left out and why |
 | orientation | `orientation`, `coarse` | which way up a photograph lies |
@@ -36,6 +37,7 @@ __version__ = "0.1.0"
 
 _WHERE = {
     "ColorVolume": "volume",
+    "Guard": "guard",
     "Plan": "plan",
     "Resume": "resume",
     "Settings": "parameters",

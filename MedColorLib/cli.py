@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from . import __version__
+from .cli_guard import add_guard, guard_of
 from .errors import Cancelled, MedColorError
 from .parameters import FEATURES, LUMINANCE, PRESETS, RECONSTRUCTIONS, SMOOTHERS, Settings
 
@@ -82,6 +83,7 @@ def _add_colorize(commands) -> None:
     )
     add("--plan", action="store_true", help="print what would be done and left out, and stop")
     add("--report", type=Path, metavar="F.json", help="write settings, plan, seconds, memory and hashes")
+    add_guard(add)
     add(
         "--confidence", type=Path, metavar="OUT2", help="write how far colours can be trusted, in per cent, as a volume"
     )
@@ -164,7 +166,10 @@ def _add_render(commands) -> None:
     command = commands.add_parser("render", help="picture of a coloured volume: views and sections")
     command.add_argument("volume", metavar="VOLUME", help="RGB volume as written by colorize")
     command.add_argument("-o", "--output", type=Path, required=True, metavar="PNG")
-    command.add_argument("--grey", metavar="INPUT", help="the grey volume, to stand beside the colours")
+    left = command.add_mutually_exclusive_group()
+    left.add_argument("--grey", metavar="INPUT", help="the grey volume, to stand beside the colours")
+    left.add_argument("--beside", metavar="VOLUME2", help="another coloured volume, to stand there instead")
+    command.add_argument("--titles", nargs=2, metavar=("LEFT", "RIGHT"), help="above the two halves")
     command.add_argument("--size", nargs=2, type=int, default=(1600, 1200), metavar=("W", "H"))
     command.set_defaults(run=_render)
 
@@ -226,6 +231,7 @@ def _add_bench(commands) -> None:
     )
     add("--quick", action="store_true", help="fewer points and repeats: about two minutes")
     add("--stability", action="store_true", help="only the table of stiff and extreme cases")
+    add("--suites", metavar="NAME[,NAME]", help="only these, such as quality,profile")
     add(
         "--data",
         type=Path,
@@ -284,16 +290,16 @@ def _colorize(arguments) -> None:
     resume = Resume(max_bytes=_resume_bytes(arguments)) if arguments.resume else False
     if not arguments.plan:
         _check_outputs(arguments, check_output_path)
-    volume = read_volume(arguments.input)
+    volume, guard = read_volume(arguments.input), guard_of(arguments)
     for note in volume.notes:
         print(f"medcolor: {volume.name}: {note}", file=sys.stderr)
     if arguments.plan:
-        _print_plan(volume, arguments.reference, settings, resume)
+        _print_plan(volume, arguments.reference, settings, resume, guard)
         return
     if resume:
         arguments.interrupted = f"{INTERRUPTED}; the same command goes on from there (--resume)"
     with _Bar("colouring") as bar:
-        result = colorize(volume, arguments.reference, settings, progress=bar, resume=resume)
+        result = colorize(volume, arguments.reference, settings, progress=bar, resume=resume, guard=guard)
     result.report["input"]["file_sha256"] = file_sha256(arguments.input)
     write_color_volume(result, arguments.output)
     if arguments.confidence:
@@ -326,12 +332,14 @@ def _batch(arguments) -> int:
     return 1 if result.failed else 0
 
 
-def _print_plan(volume, references, settings, resume) -> None:
+def _print_plan(volume, references, settings, resume, guard) -> None:
     from .estimate import estimate
     from .pipeline import make_plan
 
-    print(make_plan(volume, references, settings, resume).text())
-    print(f"Time on this machine: {estimate(volume, references, settings).text()}")
+    print(make_plan(volume, references, settings, resume, guard).text())
+    expected = estimate(volume, references, settings, guard)
+    print(f"Time on this machine: {expected.text()}")
+    print(f"Colour error to expect: {expected.error_text()}")
 
 
 def _check_outputs(arguments, check_output_path: Callable) -> None:
@@ -356,8 +364,11 @@ def _render(arguments) -> None:
     from .volume_io import read_color_volume, read_volume
 
     color = read_color_volume(arguments.volume)
-    grey = read_volume(arguments.grey) if arguments.grey else None
-    render_to_png(arguments.output, color, grey, size=tuple(arguments.size))
+    left = read_volume(arguments.grey) if arguments.grey else None
+    if arguments.beside:
+        left = read_color_volume(arguments.beside)
+    titles = tuple(arguments.titles or ("Other" if arguments.beside else "Scan", "Coloured"))
+    render_to_png(arguments.output, color, left, size=tuple(arguments.size), titles=titles)
     print(arguments.output)
 
 
@@ -463,6 +474,7 @@ def _bench(arguments) -> None:
     from .bench.run import run_bench
 
     options = {name: getattr(arguments, name) for name in ("quick", "stability", "data", "seed")}
+    options["suites"] = None if arguments.suites is None else arguments.suites.split(",")
     with _Bar("bench") as bar:
         written = run_bench(arguments.output, **options, progress=bar)
     for path in written:

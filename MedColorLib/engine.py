@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,7 +12,9 @@ import numpy as np
 from .assignment import assign
 from .blending import blended, neighbours
 from .features import CONTEXT_WEIGHTS, unit_descriptors
+from .features.kept import reference_features
 from .grid import Grid
+from .guard import colors_on_grid
 from .intensity import apply_curve, spreading_curve
 from .orientation import choose_way, turned
 from .parameters import PRESETS
@@ -29,15 +31,22 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("MedColor")
 
+UNVOTED_TRUST = 1e-3  # of a group's mean colour, where the guard left no match: a fiftieth of the least trusted match
 MANY_REFERENCES = 7  # more are taken for one series, whose pictures all lie the same way
 
 
 class ReferenceOnGrid:
     """A reference brought to the grid; its features are computed when a slice first needs them."""
 
-    def __init__(self, reference: Reference, grid: Grid) -> None:
+    def __init__(self, reference: Reference, grid: Grid, groups: np.ndarray | None = None) -> None:
+        """Args:
+        groups: (h, w) uint8 tissue groups of the picture, or None; see `guard`.
+        """
         self.name = reference.name
         self.grey, self.lab, self.mask = on_grid(reference, grid)
+        self.groups = None
+        if groups is not None:
+            self.lab, self.groups = colors_on_grid(groups, reference, grid, self.mask)
         self.way = "as it is"
         self.contrast = None
 
@@ -45,6 +54,8 @@ class ReferenceOnGrid:
         """Lay the picture another way; see `orientation`."""
         self.way = way
         self.grey, self.lab, self.mask = (turned(values, way) for values in (self.grey, self.lab, self.mask))
+        if self.groups is not None:
+            self.groups = turned(self.groups, way)
 
 
 @dataclass(frozen=True)
@@ -54,6 +65,54 @@ class ReferenceFeatures:
     layers: dict
     luminance: Tensor
     mask: Tensor
+
+
+class WithinGroups:
+    """A batch of slices and one reference whose matches stay inside tissue groups; see `guard`.
+
+    A pixel for which no vote of its own group is found takes its group's mean colour, which counts so little that every
+    match nearby outweighs it.
+    """
+
+    def __init__(self, groups, masks, reference: ReferenceOnGrid, missing: Sequence[int], count: int, device) -> None:
+        """Args:
+        groups: (N, H, W) uint8, masks: (N, H, W) bool of the slices. missing: groups that the reference lacks; they are
+            matched freely. count: number of groups.
+        """
+        self._groups, self._masks, self._reference = groups, masks, reference
+        self._free = np.isin(groups, missing)
+        self._count, self._device = count, device
+
+    def channels(self) -> tuple[Tensor, Tensor]:
+        """`Context.groups`."""
+        return tuple(
+            self._tensor((groups[:, None] == np.arange(self._count)[:, None, None]) & mask[:, None]).float()
+            for groups, mask in (
+                (self._groups, self._masks),
+                (self._reference.groups[None], self._reference.mask[None]),
+            )
+        )
+
+    def colors(self, found: Match, lab: Tensor) -> tuple[Tensor, Tensor]:
+        """T' (N, 3, H, W), and (N, H, W) bool where a vote of the own group was found."""
+        from .vote import matched_within_groups
+
+        own = self._tensor(np.where(self._free, -1, self._groups.astype(np.int64)))
+        other = self._tensor(self._reference.groups.astype(np.int64))
+        return matched_within_groups(found.field, found.layer, lab, own, other)
+
+    def completed(self, lab: np.ndarray, unvoted: np.ndarray) -> np.ndarray:
+        """Matched colours (N, H, W, 3) with the group's mean colour where no vote was found."""
+        lab = lab.copy()
+        for index in np.unique(self._groups[unvoted]):
+            mean = self._reference.lab[self._reference.mask & (self._reference.groups == index)].mean(axis=0)
+            lab[unvoted & (self._groups == index)] = mean
+        return lab
+
+    def _tensor(self, values: np.ndarray) -> Tensor:
+        import torch
+
+        return torch.from_numpy(values).to(self._device)
 
 
 class Engine:
@@ -70,8 +129,11 @@ class Engine:
         self.layers = tuple(range(5, self.stop_layer - 1, -1))
         self.extractor = make_extractor(prepared.plan.features, self.device)
         self.reconstruct = make_reconstruction(self.settings.reconstruction, self.extractor)
-        self.references = [ReferenceOnGrid(r, self.grid) for r in prepared.references]
+        pictures = prepared.groups.pictures if prepared.groups else (None,) * len(prepared.references)
+        self.references = [ReferenceOnGrid(r, self.grid, own) for r, own in zip(prepared.references, pictures)]
+        self.unmatched: dict[int, float] = {}
         self._features: dict[int, ReferenceFeatures] = {}
+        self.kept: dict[int, bool] = {}
         with run.timed("orientation"):
             self._turn_references()
         self.choice = self._choose_references()
@@ -86,6 +148,11 @@ class Engine:
         prepared = self.prepared
         return slice_on_grid(prepared.view, prepared.body, prepared.window, self.grid, k)
 
+    def groups_on_grid(self, ks: Sequence[int]) -> np.ndarray:
+        """(N, H, W) uint8 tissue groups of slices on the grid; only with a guard."""
+        boxes = self.prepared.body.boxes
+        return np.stack([self.prepared.groups.on_grid(k, boxes[k], self.grid) for k in ks])
+
     def slice_in_box(self, k: int) -> tuple[np.ndarray, np.ndarray]:
         """Display grey (rows, cols) and body coverage 0..1 of slice k, cut to the body's box, at full resolution."""
         return slice_in_box(self.prepared.view, self.prepared.body, self.prepared.window, k)
@@ -99,8 +166,9 @@ class Engine:
                 del self._features[next(iter(self._features))]
             reference = self.references[index]
             luminance = torch.from_numpy(reference.grey)[None, None].to(self.device)
+            layers, self.kept[index] = reference_features(self.extractor, luminance, self.layers)
             self._features[index] = ReferenceFeatures(
-                self.extractor.extract(luminance, self.layers),
+                layers,
                 luminance,
                 torch.from_numpy(reference.mask).to(self.device),
             )
@@ -155,18 +223,34 @@ class Engine:
         greys, masks = self.slices_on_grid(ks)
         matched = apply_curve(greys, reference.contrast.curve) * masks
         stored = store.load(ks, index, self.device) if store else None
-        found = stored or self._analogy(index, matched, masks)
+        within = None if reference.groups is None else self._within(ks, index, masks)
+        found = stored or self._analogy(index, matched, masks, within)
         self.searched = found.searched
         with self.run.timed("matching"):
             own_lab = torch.from_numpy(reference.lab.astype(np.float32)).permute(2, 0, 1)[None].to(self.device)
-            lab = matched_colors(found.field, found.layer, own_lab)
+            if within is None:
+                lab = matched_colors(found.field, found.layer, own_lab)
+            else:
+                lab, voted = within.colors(found, own_lab)
         if store and not stored:
             store.save(ks, index, found)
         lab = lab.permute(0, 2, 3, 1).float().cpu().numpy()
-        trusts = self._trusts(found, reference, matched, masks, lab) if self.reads_trust else [None] * len(ks)
+        unvoted = None
+        if within is not None:
+            unvoted = masks & ~voted.cpu().numpy()
+            lab = within.completed(lab, unvoted)
+            for k, mask, without in zip(ks, masks, unvoted):
+                self.unmatched[k] = max(self.unmatched.get(k, 0.0), float(without.sum() / max(mask.sum(), 1)))
+        trusts = self._trusts(found, reference, matched, masks, lab, unvoted) if self.reads_trust else [None] * len(ks)
         return greys, masks, lab, trusts
 
-    def _analogy(self, index: int, matched: np.ndarray, masks: np.ndarray) -> Match:
+    def _within(self, ks: Sequence[int], index: int, masks: np.ndarray) -> WithinGroups:
+        """How slices and reference `index` are kept inside the groups of the guard."""
+        groups, reference = self.prepared.groups, self.references[index]
+        own = self.groups_on_grid(ks)
+        return WithinGroups(own, masks, reference, groups.missing[index], len(groups), self.device)
+
+    def _analogy(self, index: int, matched: np.ndarray, masks: np.ndarray, within: WithinGroups | None = None) -> Match:
         """The correspondence of slices (N, H, W) in the photograph's contrast with reference `index`."""
         import torch
 
@@ -180,6 +264,8 @@ class Engine:
         if self.uses_context:
             position, grey = CONTEXT_WEIGHTS[self.extractor.name]
             context = Context(position, grey * reference.contrast.trust, luminance, own.luminance)
+        if within is not None:
+            context = replace(context or Context(0.0, 0.0, None, None), groups=within.channels())
         with self.run.timed("matching"):
             return deep_image_analogy(
                 features,
@@ -193,13 +279,15 @@ class Engine:
                 keep_reverse=self.reads_trust,
             )
 
-    def _trusts(self, found, reference, matched, masks, lab) -> list:
+    def _trusts(self, found, reference, matched, masks, lab, unvoted=None) -> list:
         from .color.lab import lightness_to_gray
         from .confidence import LEAST_TRUST, LIKENESS_RANGE, consistency, in_range, on_full_grid, trust_of
 
         home = on_full_grid(consistency(found.field, found.reverse), masks.shape[1:])
         alike = on_full_grid(in_range(found.likeness, *LIKENESS_RANGE[self.extractor.name]), masks.shape[1:])
         confidence = (home * alike + LEAST_TRUST).cpu().numpy() * masks
+        if unvoted is not None:
+            confidence[unvoted] = UNVOTED_TRUST
         seen = np.clip(lightness_to_gray(lab[..., 0].astype(np.float64)), 0, 1)
         inverse = reference.contrast.inverse
         return [trust_of(*planes, inverse) for planes in zip(confidence, matched, seen)]
@@ -224,6 +312,7 @@ class Engine:
         import torch
 
         from .analogy import deep_image_analogy
+        from .coarse import mean_inside
         from .contrast import match_contrast
 
         reference, needed = self.references[index], self.features_of(index)
@@ -234,8 +323,7 @@ class Engine:
         def coarse_similarity(candidate: np.ndarray) -> float:
             features = self.extractor.extract(torch.from_numpy(candidate)[:, None].to(self.device), (5,))
             found = deep_image_analogy(features, needed.layers, mask_tensor, needed.mask, 5)
-            inside = torch.nn.functional.adaptive_avg_pool2d(mask_tensor.float(), found.similarity.shape[1:]) > 0.5
-            return float(found.similarity[inside].mean()) if inside.any() else 0.0
+            return mean_inside(found.similarity, mask_tensor)
 
         reference.contrast = match_contrast(greys, masks, reference.grey, reference.mask, coarse_similarity)
         log.info("contrast for %s: %s", reference.name, reference.contrast.describe())

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import zip_longest
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,7 +14,9 @@ from .grid import from_grid
 from .prepare import Prepared
 
 if TYPE_CHECKING:
-    from .transfer import SliceMatch
+    from .transfer import SliceMatch, TransferParameters
+
+_NOTHING = np.zeros((), np.float32)  # evidence of a group that a slice does not have
 
 
 class Painter:
@@ -40,13 +44,14 @@ class Painter:
             plan.smoother, settings.luminance, settings.resolved_gamma, engine.guide_curve, options
         )
         spacing, sigma = prepared.slice_spacing_mm, settings.coherence_mm
-        averages = (SliceAverage(plan.slices, spacing, sigma) for _ in range(3))
-        self._relations, self._remainders, self._means = averages
+        self._groups = prepared.groups
+        names = (None,) if self._groups is None else range(len(self._groups))
+        self._evidence = {name: Evidence(plan.slices, spacing, sigma, self._parameters) for name in names}
+        self._means, self._mean = SliceAverage(plan.slices, spacing, sigma), {}
+        self.uncolored = 0
         chosen = list(plan.slices)
         self._frames = dict(zip(chosen, frames(self._boxes[chosen], spacing, sigma)))
         self._region = prepared.region[1:]
-        self._waiting: dict[int, SliceMatch] = {}
-        self._known: dict[int, np.ndarray | None] = {}
         self._last = None
 
     def add(self, ks: Sequence[int], matches) -> None:
@@ -64,32 +69,42 @@ class Painter:
             (self._gather if self._weighs else self._color_alone)(k, match)
 
     def _gather(self, k: int, match: SliceMatch) -> None:
-        """Add a slice's evidence to what is known of colour and grey; slices whose neighbours are all in go on."""
-        from .transfer import relation_sums, solve_relation
+        """Add a slice's evidence to what is known of colour and grey; slices whose neighbours are all in are coloured."""
+        for ready, (total, count) in self._means.push(k, np.array([match.trust.mean, 1.0])):
+            self._mean[ready] = total / count
+        streams = [evidence.push(k, own) for evidence, own in zip(self._evidence.values(), self._by_group(k, match))]
+        for ready in zip_longest(*streams):  # all have the same slices ready; zip would leave the last ones unfinished
+            self._color(*ready)
 
-        self._waiting[k] = match
-        if self._parameters.smoother != "regression":
-            self._settle(k, None)
+    def _by_group(self, k: int, match: SliceMatch) -> Iterator[tuple[SliceMatch, bool]]:
+        """The slice's match for each group, with nothing outside it, and whether the slice has that group at all."""
+        if self._groups is None:
+            yield match, True
             return
-        for ready, sums in self._relations.push(k, relation_sums(match, self._parameters)):
-            self._settle(ready, solve_relation(sums, self._parameters))
+        on_grid, there = self._engine.groups_on_grid([k])[0], np.unique(self._groups.in_box(k, self._boxes[k]))
+        for name in self._evidence:
+            yield replace(match, mask=match.mask & (on_grid == name)), name in there
 
-    def _settle(self, k: int, relation: np.ndarray | None) -> None:
-        """Take the remainder of a slice, which is averaged along the stack in its turn; colour the slices that are ready."""
+    def _color(self, *ready: tuple[int, np.ndarray | None, np.ndarray]) -> None:
+        """Colour a slice from its evidence, of everything or group by group."""
         from .confidence import saturation
-        from .transfer import combine, remainder, remainder_guide, to_picture
+        from .transfer import combine, to_picture
 
-        parameters, match = self._parameters, self._waiting.pop(k)
-        self._known[k] = relation
-        means = dict(self._means.push(k, np.array([match.trust.mean, 1.0])))
-        rest = remainder(match, relation, parameters)
-        for ready, total in self._remainders.push(k, rest, remainder_guide(match, parameters)):
-            mean, weight = means[ready]
-            grey, mask = self._engine.slice_in_box(ready)[0], self._engine.painted_in_box(ready)
-            self.saturation[ready] = kept = saturation(mean / weight)
-            relation = self._known.pop(ready)
-            lab = combine(grey, mask, relation, total, parameters, self._frames[ready], kept)
-            self._put(ready, *to_picture(lab, mask))
+        k = ready[0][0]
+        grey, mask = self._engine.slice_in_box(k)[0], self._engine.painted_in_box(k)
+        self.saturation[k] = kept = saturation(self._mean.pop(k))
+        groups = None if self._groups is None else self._groups.in_box(k, self._boxes[k])
+        lab = None
+        for name, (_, relation, rest) in zip(self._evidence, ready):
+            own = mask if groups is None else mask & (groups == name)
+            if groups is not None and not own.any():
+                continue
+            part = combine(grey, own, relation, rest, self._parameters, self._frames[k], kept)
+            lab = part if lab is None else lab + part  # each is 0 outside its own pixels
+            if groups is not None and not rest[..., -1].any():
+                self.uncolored += int(np.count_nonzero(own))
+        if lab is not None:
+            self._put(k, *to_picture(lab, mask))
 
     def _color_alone(self, k: int, match: SliceMatch) -> None:
         from .transfer import transfer
@@ -115,3 +130,46 @@ class Painter:
         top, bottom, left, right = max(j0, row0), min(j1, row1), max(i0, col0), min(i1, col1)
         if top < bottom and left < right:
             stack[k, top:bottom, left:right] = values[top - j0 : bottom - j0, left - i0 : right - i0]
+
+
+class Evidence:
+    """What matches say of colour, all or those of one tissue group, averaged along the stack."""
+
+    def __init__(
+        self, slices: Sequence[int], spacing_mm: float, sigma_mm: float, parameters: TransferParameters
+    ) -> None:
+        """Args: as for `coherence.SliceAverage` and `transfer`."""
+        from .coherence import SliceAverage
+
+        self._relations, self._remainders = (SliceAverage(slices, spacing_mm, sigma_mm) for _ in range(2))
+        self._parameters = parameters
+        self._waiting: dict[int, tuple[SliceMatch, bool]] = {}
+        self._known: dict[int, np.ndarray | None] = {}
+
+    def push(self, k: int, match: tuple[SliceMatch, bool]) -> Iterator[tuple[int, np.ndarray | None, np.ndarray]]:
+        """Add a slice; yields (slice, relation, remainder) as `transfer.combine` takes them, for each that is complete now.
+
+        Args:
+            match: and whether the slice has the group; without it, it adds nothing, and what is yielded is not to be used.
+        """
+        from .transfer import relation_sums, solve_relation
+
+        self._waiting[k] = match
+        own, there = match
+        if self._parameters.smoother != "regression":
+            yield from self._settle(k, None)
+            return
+        sums = relation_sums(own, self._parameters) if there else _NOTHING
+        for ready, total in self._relations.push(k, sums):
+            relation = solve_relation(total, self._parameters) if self._waiting[ready][1] else None
+            yield from self._settle(ready, relation)
+
+    def _settle(self, k: int, relation: np.ndarray | None) -> Iterator[tuple[int, np.ndarray | None, np.ndarray]]:
+        """Take the remainder of a slice, which is averaged along the stack in its turn."""
+        from .transfer import remainder, remainder_guide
+
+        match, there = self._waiting.pop(k)
+        self._known[k] = relation
+        rest = remainder(match, relation, self._parameters) if there else _NOTHING
+        for ready, total in self._remainders.push(k, rest, remainder_guide(match, self._parameters)):
+            yield ready, self._known.pop(ready), total

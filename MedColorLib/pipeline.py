@@ -21,6 +21,7 @@ from .volume import ColorVolume, Volume
 
 if TYPE_CHECKING:
     from .engine import Engine
+    from .guard import Guard
     from .paint import Painter
     from .resume import Resume, RunStore
 
@@ -32,11 +33,12 @@ def make_plan(
     references: Sequence,
     settings: Settings | None = None,
     resume: bool | str | os.PathLike | Resume = False,
+    guard: Guard | None = None,
 ) -> Plan:
     """What `colorize` would do with these arguments, and what it would leave out; takes seconds at most."""
     from .resume import open_store
 
-    prepared = prepare(volume, references, settings or Settings(), find_device=bool(resume))
+    prepared = prepare(volume, references, settings or Settings(), find_device=bool(resume), guard=guard)
     store = open_store(prepared, resume)
     if store:
         _leave_out(prepared.plan, store.stored_slices())
@@ -50,6 +52,7 @@ def colorize(
     progress: Progress | None = None,
     cancelled: Callable[[], bool] | None = None,
     resume: bool | str | os.PathLike | Resume = False,
+    guard: Guard | None = None,
 ) -> ColorVolume:
     """Colour a grey volume after colour references.
 
@@ -63,6 +66,7 @@ def colorize(
         resume: True, a folder or `resume.Resume` keeps on disk what has been matched and takes up what an interrupted run
             with the same arguments left; the result has the same bytes. It is kept until `resume.forget_run(report,
             resume)`, to be called once the result is written, or until newer runs need the room.
+        guard: labels of tissue that matching and colour do not cross; see `guard.Guard`.
 
     Returns:
         RGB volume on the same grid, black outside the body, with a report. The colours are an illustration, not a
@@ -78,8 +82,10 @@ def colorize(
     run = Run(progress, cancelled)
     with run.timed("prepare"):
         run.step(0.0, "preparing")
-        prepared = prepare(volume, references, settings or Settings())
+        prepared = prepare(volume, references, settings or Settings(), guard=guard)
         store = open_store(prepared, resume)
+    for text in prepared.groups.unguarded(prepared.references) if prepared.groups else ():
+        log.warning("tissue guard: %s", text)
     if store and store.stored_slices():
         log.info("resume: an interrupted run left %d slices matched; going on from there", store.stored_slices())
     rgb = np.zeros((*volume.array.shape, 3), np.uint8)
@@ -150,6 +156,19 @@ def _next_batch(waiting: list[int], engine: Engine, repeats: dict[int, int], bat
     return ks
 
 
+def _guard(prepared: Prepared, engine: Engine, painter: Painter) -> dict | None:
+    """What the report says of the tissue guard; voxels without any colour of their own group are said in the log, too."""
+    if prepared.groups is None:
+        return None
+    if painter.uncolored:
+        log.warning("tissue guard: %d voxels stay grey, their group has no match in these slices", painter.uncolored)
+    return {
+        **prepared.groups.report(prepared.references),
+        "without_own_match": {str(k): round(share, 4) for k, share in engine.unmatched.items()},
+        "grey_voxels": painter.uncolored,
+    }
+
+
 def _greyed(painter: Painter) -> dict[str, float]:
     """Slice -> share of its colour that was kept, for the slices where too little could be trusted; said in the log."""
     greyed = {str(k): round(share, 4) for k, share in painter.saturation.items() if share < 1}
@@ -174,7 +193,7 @@ def _report(prepared: Prepared, engine: Engine, run: Run, painter: Painter) -> d
             "name": volume.name,
             "sha256": voxels_sha256(volume.array),
             "shape_kji": list(volume.array.shape),
-            "dtype": str(volume.array.dtype.newbyteorder("=")),
+            "dtype": volume.array.dtype.name,
             "ijk_to_ras": volume.ijk_to_ras.tolist(),
             "notes": list(volume.notes),
         },
@@ -191,6 +210,7 @@ def _report(prepared: Prepared, engine: Engine, run: Run, painter: Painter) -> d
         "references_assigned": engine.assigned,
         "blended_slices": {str(k): [prepared.references[n.index].name, n.share] for k, n in engine.neighbours.items()},
         "reference_lies": {engine.references[i].name: engine.references[i].way for i in used},
+        "reference_features": {engine.references[i].name: "read" if engine.kept.get(i) else "made" for i in used},
         "contrast": {engine.references[i].name: engine.references[i].contrast.describe() for i in used},
         "settings": prepared.settings.to_dict(),
         "plan": prepared.plan.to_dict(),
@@ -203,6 +223,7 @@ def _report(prepared: Prepared, engine: Engine, run: Run, painter: Painter) -> d
         "out_of_gamut_pixels": painter.clipped,
         "trusted_fraction": {str(k): v for k, v in painter.trusted.items()},
         "greyed_slices": _greyed(painter),
+        "guard": _guard(prepared, engine, painter),
         "contrast_agreement": {str(k): v for k, v in painter.agreement.items()},
         "environment": environment(prepared.plan.device),
     }

@@ -13,6 +13,7 @@ from .device import choose_device
 from .errors import InputError, SettingsError
 from .features import choose_features
 from .grid import Grid, choose_grid
+from .guard import Groups, Guard, prepare_guard
 from .intensity import Window, check_values, choose_window
 from .parameters import PRESETS, Settings
 from .plan import LeftOut, Plan
@@ -38,6 +39,7 @@ class Prepared:
     grid: Grid
     repeats: dict[int, int]
     plan: Plan
+    groups: Groups | None = None
 
     @property
     def region(self) -> tuple[tuple[int, int], ...]:
@@ -51,11 +53,14 @@ class Prepared:
         return float(self.volume.spacing_mm[2 - self.order.axes[0]])
 
 
-def prepare(volume: Volume, references: Sequence, settings: Settings, find_device: bool = True) -> Prepared:
+def prepare(
+    volume: Volume, references: Sequence, settings: Settings, find_device: bool = True, guard: Guard | None = None
+) -> Prepared:
     """Decide everything; see `Prepared`.
 
     Args:
         find_device: False leaves "auto" undecided, which needs no torch: enough for a plan.
+        guard: labels that matching and colour do not cross.
 
     Raises:
         InputError, SettingsError, WeightsError, DeviceError: with the remedy in the message.
@@ -70,17 +75,20 @@ def prepare(volume: Volume, references: Sequence, settings: Settings, find_devic
     prepared_references = load_references(references)
     order = slice_order(volume.ijk_to_ras, settings.plane)
     view = order.view(volume.array)
+    grid = choose_grid(PRESETS[settings.preset].grid_px)
+    groups = guard and prepare_guard(guard, volume, prepared_references, settings, order, grid)
     body = find_body(view)
     chosen = _chosen_slices(body, settings, order, volume.array.shape)
     window = _window(view, body, chosen, volume, settings)
-    grid = choose_grid(PRESETS[settings.preset].grid_px)
-    repeats = _repeats(view, chosen)
+    repeats = _repeats([view, groups.view] if groups else [view], chosen)
     plan = _plan(
         volume, settings, order, view, body, chosen, window, prepared_references, grid, repeats, features, device
     )
     if note:
         plan.steps["volume"] += f"; {note}"
-    return Prepared(volume, settings, order, view, body, window, prepared_references, grid, repeats, plan)
+    if groups:
+        plan.steps["tissue guard"] = groups.describe(prepared_references)
+    return Prepared(volume, settings, order, view, body, window, prepared_references, grid, repeats, plan, groups)
 
 
 def sample_slices(slices: Sequence[int], count: int = SAMPLE_SLICES) -> list[int]:
@@ -114,11 +122,11 @@ def _window(view, body, chosen, volume, settings) -> Window:
     return choose_window(view[sample], masks if masks.any() else None, settings.window, volume.window)
 
 
-def _repeats(view: np.ndarray, chosen: list[int]) -> dict[int, int]:
-    """Slice -> earlier neighbouring slice with exactly the same values."""
+def _repeats(views: Sequence[np.ndarray], chosen: list[int]) -> dict[int, int]:
+    """Slice -> earlier neighbouring slice with exactly the same values in every view."""
     repeats: dict[int, int] = {}
     for before, k in zip(chosen, chosen[1:]):
-        if k == before + 1 and np.array_equal(view[k], view[before]):
+        if k == before + 1 and all(np.array_equal(view[k], view[before]) for view in views):
             repeats[k] = repeats.get(before, before)
     return repeats
 
@@ -137,7 +145,7 @@ def _plan(volume, settings, order, view, body, chosen, window, references, grid,
     luminance = "of the scan" if settings.luminance == "keep" else "of the reference (paper)"
     gamma = "1/2 and 2" if settings.resolved_gamma else "off"
     steps = {
-        "volume": f"{volume.name}, {shape} (k, j, i) {volume.array.dtype}; {order.describe()}",
+        "volume": f"{volume.name}, {shape} (k, j, i) {volume.array.dtype.name}; {order.describe()}",
         "window": f"{window.low:g} to {window.high:g} ({window.source})",
         "body": f"{len(chosen)} of {len(view)} slices, values above {body.threshold:g}",
         "references": describe_references(references),
@@ -232,7 +240,7 @@ def _left_out(settings, preset, smoother, features, view, body, chosen, referenc
         entries.append(
             LeftOut(
                 "reference features for every slice",
-                "computed once for all slices",
+                _once(features),
                 f"{len(chosen) - 1} of {len(chosen)} extractions",
             )
         )
@@ -242,6 +250,10 @@ def _left_out(settings, preset, smoother, features, view, body, chosen, referenc
     entries += _left_out_of_colour(settings, smoother)
     entries.append(LeftOut("alpha volume", "renderers derive opacity from luminance", "a third of the output"))
     return entries
+
+
+def _once(features: str) -> str:
+    return "computed once for all slices" + ("" if features == "embedded" else " and kept on disk by content for the next run")
 
 
 def _left_out_of_colour(settings, smoother) -> list[LeftOut]:

@@ -184,8 +184,9 @@ def run_key(prepared: Prepared) -> str:
     volume, plan = prepared.volume, prepared.plan
     what = {
         "voxels": voxels_sha256(volume.array),
-        "array": [volume.array.shape, str(volume.array.dtype.newbyteorder("=")), volume.ijk_to_ras.tolist(), volume.window],
+        "array": [volume.array.shape, volume.array.dtype.name, volume.ijk_to_ras.tolist(), volume.window],
         "references": [[_sha256(r.rgb), _sha256(r.mask), r.rgb.shape] for r in prepared.references],
+        "guard": prepared.groups and prepared.groups.identity(),
         "settings": prepared.settings.to_dict(),
         "preset": asdict(PRESETS[prepared.settings.preset]),
         "resolved": [plan.features, plan.device, plan.smoother],

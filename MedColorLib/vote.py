@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from torch import Tensor
 
-from .correspondence.field import average_vote, upsample
+from .correspondence.field import average_vote, group_vote, upsample
 
 
 def to_full_grid(field: Tensor, layer: int, reference_shape: tuple[int, int]) -> Tensor:
@@ -25,3 +25,19 @@ def matched_colors(field: Tensor, layer: int, reference: Tensor) -> Tensor:
         (N, C, H, W).
     """
     return average_vote(reference, to_full_grid(field, layer, tuple(reference.shape[2:])), radius=2)
+
+
+def matched_within_groups(
+    field: Tensor, layer: int, reference: Tensor, groups: Tensor, reference_groups: Tensor
+) -> tuple[Tensor, Tensor]:
+    """T' from votes of each pixel's own group only.
+
+    Args:
+        field, layer, reference: as for `matched_colors`.
+        groups: (N, H, W) integers, negative where every vote counts. reference_groups: (H, W).
+
+    Returns:
+        (N, C, H, W), 0 where no vote counts; (N, H, W) bool, where at least one does.
+    """
+    full = to_full_grid(field, layer, tuple(reference.shape[2:]))
+    return group_vote(reference, full, groups, reference_groups, radius=2)

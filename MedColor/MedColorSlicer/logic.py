@@ -11,6 +11,7 @@ from slicer.i18n import tr as _
 from slicer.ScriptedLoadableModule import ScriptedLoadableModuleLogic
 
 from . import comparison, rendering, scene
+from . import labels as labels_of
 from . import references as references_of
 from .parameters import MedColorParameterNode
 
@@ -45,6 +46,9 @@ class MedColorLogic(ScriptedLoadableModuleLogic):
         cancelled=None,
         roi=None,
         run=None,
+        labels=None,
+        referenceLabels=None,
+        labelGroups=None,
         **options,
     ):
         """Colour a volume.
@@ -60,6 +64,11 @@ class MedColorLogic(ScriptedLoadableModuleLogic):
             roi: markups ROI node; only its box is coloured, by the slices that it meets.
             run: called with the computation, a function without arguments that touches no node, and returns what it
                 returns; the panel passes one that uses a worker thread.
+            labels: label map or segmentation node; matching and colour do not cross from one label into another.
+            referenceLabels: the same labels drawn on the references: for each, in order, a PNG, an (H, W) array of whole
+                numbers, a label map node, or None. Without them only colour is kept apart.
+            labelGroups: {label: group}; labels of one group count as one. Those of a segmentation are 1, 2, ... in the
+                order of its segments. At most 16 groups.
 
         Returns:
             vtkMRMLVectorVolumeNode with the colours, under the input's transform and subject-hierarchy folder.
@@ -76,9 +85,10 @@ class MedColorLogic(ScriptedLoadableModuleLogic):
         region = scene.region_from_roi(roi, inputVolume)
         settings = scene.settings_for_region(settings, region, inputVolume)
         pictures = references_of.references_from(references, inputVolume)
+        guard = labels_of.guard_from(labels, inputVolume, referenceLabels, labelGroups)
 
         def compute():
-            colored = MedColorLib.colorize(volume, pictures, settings, progress, cancelled)
+            colored = MedColorLib.colorize(volume, pictures, settings, progress, cancelled, guard=guard)
             return scene.only_inside(colored, region)
 
         result = compute() if run is None else run(compute)
@@ -88,12 +98,25 @@ class MedColorLogic(ScriptedLoadableModuleLogic):
         _LOG.info("coloured in %.1f s", time.monotonic() - start)
         return node
 
-    def preview(self, inputVolume, references, sliceIndex, settings=None, cancelled=None, run=None, previous=None):
+    def preview(  # everything after the third has a default
+        self,
+        inputVolume,
+        references,
+        sliceIndex,
+        settings=None,
+        cancelled=None,
+        run=None,
+        previous=None,
+        labels=None,
+        referenceLabels=None,
+        labelGroups=None,
+    ):
         """Colour one slice in seconds.
 
         Args:
             sliceIndex: number of the transverse slice, counted from the feet up (`scene.slice_index_at`).
             previous: node of an earlier preview, filled again.
+            labels, referenceLabels, labelGroups: as for `process`.
 
         Returns:
             A vector volume node of one slice, at its place in space; not saved with the scene.
@@ -104,9 +127,10 @@ class MedColorLogic(ScriptedLoadableModuleLogic):
         settings = self._draft(settings or MedColorLib.Settings(), (sliceIndex, sliceIndex + 1))
         volume = scene.volume_from_node(inputVolume)
         pictures = references_of.references_from(references, inputVolume)
+        guard = labels_of.guard_from(labels, inputVolume, referenceLabels, labelGroups)
 
         def compute():
-            return MedColorLib.colorize(volume, pictures, settings, None, cancelled)
+            return MedColorLib.colorize(volume, pictures, settings, None, cancelled, guard=guard)
 
         result = compute() if run is None else run(compute)
         self._check_still_there(inputVolume, previous, volume.array.shape)
@@ -118,15 +142,19 @@ class MedColorLogic(ScriptedLoadableModuleLogic):
         scene.place_part(node, inputVolume, offset)
         return node
 
-    def plan(self, inputVolume, references, settings=None, roi=None):
+    def plan(  # everything after the second has a default
+        self, inputVolume, references, settings=None, roi=None, labels=None, referenceLabels=None, labelGroups=None
+    ):
         """What a run would do, what it leaves out and why; takes seconds at most.
 
         Returns:
             MedColorLib's plan: `.text()` for people, `.to_dict()` for programs.
         """
-        return self.planner(inputVolume, references, settings, roi)()
+        return self.planner(inputVolume, references, settings, roi, labels, referenceLabels, labelGroups)()
 
-    def planner(self, inputVolume, references, settings=None, roi=None):
+    def planner(  # everything after the second has a default
+        self, inputVolume, references, settings=None, roi=None, labels=None, referenceLabels=None, labelGroups=None
+    ):
         """The computation behind `plan`: a function without arguments that touches no node, for a worker thread."""
         import MedColorLib
 
@@ -134,7 +162,8 @@ class MedColorLogic(ScriptedLoadableModuleLogic):
         region = scene.region_from_roi(roi, inputVolume)
         settings = scene.settings_for_region(settings or MedColorLib.Settings(), region, inputVolume)
         pictures = references_of.references_from(references, inputVolume)
-        return lambda: MedColorLib.make_plan(volume, pictures, settings)
+        guard = labels_of.guard_from(labels, inputVolume, referenceLabels, labelGroups)
+        return lambda: MedColorLib.make_plan(volume, pictures, settings, guard=guard)
 
     def recommend(  # everything after the second has a default
         self, inputVolume, libraryFolder, top=3, sliceIndex=None, features="auto", device="auto", job=None, run=None

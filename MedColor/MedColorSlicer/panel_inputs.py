@@ -23,6 +23,7 @@ class InputsPart:
         ui.referencePathLineEdit.currentPathChanged.connect(self._onPath)
         ui.referenceFolderLineEdit.currentPathChanged.connect(self._onPath)
         ui.roiSelector.currentNodeChanged.connect(self._onRoi)
+        ui.labelsSelector.currentNodeChanged.connect(self._onLabels)
         ui.recommendButton.clicked.connect(self._onRecommend)
         ui.recommendedList.currentRowChanged.connect(self._onPicked)
         ui.downloadButton.clicked.connect(self._onDownload)
@@ -70,6 +71,8 @@ class InputsPart:
                 line.currentPath = p.referencePath
         if ui.roiSelector.currentNode() is not p.roi:
             ui.roiSelector.setCurrentNode(p.roi)
+        if ui.labelsSelector.currentNode() is not p.labels:
+            ui.labelsSelector.setCurrentNode(p.labels)
         ready = not scene.input_problem(p.inputVolume) and os.path.isdir(p.referencePath)
         ui.recommendButton.enabled = ready
         ui.recommendButton.toolTip = (
@@ -113,6 +116,11 @@ class InputsPart:
         chosen = self.ui.roiSelector.currentNode()
         if self.panel.parameters and self.panel.parameters.roi is not chosen:
             self.panel.parameters.roi = chosen
+
+    def _onLabels(self, _node=None) -> None:
+        chosen = self.ui.labelsSelector.currentNode()
+        if self.panel.parameters and self.panel.parameters.labels is not chosen:
+            self.panel.parameters.labels = chosen
 
     # --- recommended pictures ----------------------------------------------------------------------------------------
 

@@ -9,7 +9,7 @@ import qt
 import slicer
 from slicer.i18n import tr as _
 
-from . import dependencies, parameters, running
+from . import dependencies, labels, parameters, running
 
 _DELAY_MS = 400  # after the last change
 _POLL_MS = 50
@@ -68,7 +68,8 @@ class PlanPart:
             return
         self._asked = question
         try:
-            compute = panel.logic.planner(p.inputVolume, panel.inputs.references(), parameters.settings_from(p), p.roi)
+            settings, pictures = parameters.settings_from(p), panel.inputs.references()
+            compute = panel.logic.planner(p.inputVolume, pictures, settings, p.roi, p.labels)
         except Exception as error:  # what is wrong is said in the plan's place
             self.ui.planText.plainText = panel.explain(error)
             return
@@ -82,6 +83,7 @@ class PlanPart:
         image = p.inputVolume.GetImageData()
         values = [getattr(p, name) for name in _PLAN_FIELDS]
         others = [node.GetMTime() if node else 0 for node in (p.roi, p.referenceNode)]
+        others.append(labels.state_of(p.labels))
         return (p.inputVolume.GetID(), image.GetMTime(), *others, *values)
 
     def _look(self) -> None:

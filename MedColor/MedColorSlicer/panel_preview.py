@@ -47,6 +47,7 @@ class PreviewPart:
             job.cancelled,
             run=self.panel.runResponsive,
             previous=self._node,
+            labels=p.labels,
         )
         comparison.overlay(slicer.mrmlScene, grey, self._node, 1.0)
         return _("Preview of slice {index}, at draft quality.").format(index=index)

@@ -1,7 +1,7 @@
 """The choices of the panel, kept in the scene, and the library settings they stand for.
 
 Every field has one control in the panel, tied to it by the property SlicerParameterName in `MedColor.ui`, or by
-`panel_inputs` (the path, the picked picture, the region of interest) and `panel_smoother` (the smoother's values).
+`panel_inputs` (the path, the picked picture, the region of interest, the labels) and `panel_smoother` (the smoother's values).
 """
 
 import dataclasses
@@ -46,6 +46,7 @@ class MedColorParameterNode:
     firstSlice: Annotated[int, WithinRange(0, 100000)] = 0
     lastSlice: Annotated[int, WithinRange(0, 100000)] = 0
     roi: vtkMRMLDisplayableNode  # a markups ROI; that class may not be loaded yet when this file is
+    labels: vtkMRMLDisplayableNode  # a label map or a segmentation
     device: Annotated[str, Choice(DEVICES)] = "auto"
     seed: Annotated[int, WithinRange(0, 1000000)] = 0
 

@@ -294,7 +294,7 @@ class _StandIn:
         for patch in self._patches:
             patch.stop()
 
-    def __call__(self, volume, references, settings=None, progress=None, cancelled=None):
+    def __call__(self, volume, references, settings=None, progress=None, cancelled=None, guard=None):
         import numpy as np
 
         from MedColorLib.errors import Cancelled

@@ -12,7 +12,7 @@ from slicer.i18n import tr as _
 from slicer.ScriptedLoadableModule import ScriptedLoadableModuleWidget
 from slicer.util import VTKObservationMixin
 
-from . import comparison, dependencies, rendering_guard, running, scene
+from . import comparison, dependencies, labels, rendering_guard, running, scene
 from .logic import MedColorLogic
 from .panel_display import DisplayPart
 from .panel_inputs import InputsPart
@@ -183,7 +183,7 @@ class MedColorWidget(ScriptedLoadableModuleWidget, VTKObservationMixin):
         p = self._parameterNode
         if p is None:
             return _("The scene is being closed.")
-        problem = scene.input_problem(p.inputVolume) or self.inputs.problem()
+        problem = scene.input_problem(p.inputVolume) or self.inputs.problem() or labels.labels_problem(p.labels)
         if problem:
             return problem
         if p.outputVolume is not None and p.outputVolume is p.referenceNode and p.referenceSource == "node":
@@ -218,6 +218,7 @@ class MedColorWidget(ScriptedLoadableModuleWidget, VTKObservationMixin):
             job.cancelled,
             roi=parameters.roi,
             run=self.runResponsive,
+            labels=parameters.labels,
         )
         self.preview.remove()
         self._learn(node, job)

@@ -54,6 +54,27 @@ def average_vote(values: Tensor, field: Tensor, radius: int = 2) -> Tensor:
         values: (N or 1, C, h2, w2) of the other side, at the field's resolution.
         field: (N, h, w).
     """
+    total, votes = _votes(values, field, radius)
+    return total / votes.clamp_min(1)
+
+
+def group_vote(
+    values: Tensor, field: Tensor, groups: Tensor, other_groups: Tensor, radius: int = 2
+) -> tuple[Tensor, Tensor]:
+    """`average_vote` in which a pixel counts only the votes of its own group.
+
+    Args:
+        groups: (N, h, w) integers, negative where every vote counts. other_groups: (h2, w2) of the other side.
+
+    Returns:
+        (N, C, h, w), 0 where no vote counts; (N, h, w) bool, where at least one does.
+    """
+    total, votes = _votes(values, field, radius, (groups, other_groups.flatten()))
+    return total / votes.clamp_min(1), votes[:, 0] > 0
+
+
+def _votes(values: Tensor, field: Tensor, radius: int, groups: tuple[Tensor, Tensor] | None = None):
+    """Sum of the votes (N, C, h, w) and their number (N, 1, h, w)."""
     count, height, width = field.shape
     rows2, cols2 = values.shape[2:]
     flat = values.flatten(2).expand(count, -1, -1)
@@ -67,10 +88,13 @@ def average_vote(values: Tensor, field: Tensor, radius: int = 2) -> Tensor:
             y, x = row[:, from_y, from_x] + dy, col[:, from_y, from_x] + dx
             inside = ((y >= 0) & (y < rows2) & (x >= 0) & (x < cols2)).unsqueeze(1)
             index = (y.clamp(0, rows2 - 1) * cols2 + x.clamp(0, cols2 - 1)).flatten(1).unsqueeze(1)
+            if groups is not None:
+                here = groups[0][:, here_y, here_x]
+                inside = inside & ((groups[1][index].view(here.shape) == here) | (here < 0)).unsqueeze(1)
             vote = torch.gather(flat, 2, index.expand(-1, flat.shape[1], -1)).view(*flat.shape[:2], *y.shape[1:])
             total[:, :, here_y, here_x] += vote * inside
             votes[:, :, here_y, here_x] += inside
-    return total / votes.clamp_min(1)
+    return total, votes
 
 
 def _shifted(size: int, offset: int) -> tuple[slice, slice]:

@@ -120,7 +120,7 @@ def test_parameter_names_are_fields_of_the_parameter_node():
     tied = [p.findtext("string") for p in root.iter("property") if p.get("name") == "SlicerParameterName"]
     assert len(tied) == len(set(tied))
     assert set(tied) <= parameter_fields()
-    assert parameter_fields() - set(tied) == {"referencePath", "pickedReference", "roi", "smootherOptions"}
+    assert parameter_fields() - set(tied) == {"referencePath", "pickedReference", "roi", "labels", "smootherOptions"}
 
 
 def test_allow_list_agrees_with_an_introspected_slicer():

@@ -8,10 +8,9 @@ import subprocess
 import sys
 import types
 
-import numpy as np
 import pytest
 import slicer
-from host_fixtures import color_node, grey_node
+from host_fixtures import color_node, grey_node, label_node
 from panel_fixtures import PICTURE, shown, wait_for
 
 MODULE_FOLDER = os.path.join(os.path.dirname(__file__), "..", "..", "MedColor")
@@ -68,12 +67,13 @@ def test_texts_are_translatable_as_written():
 def test_every_field_has_a_control_bound_both_ways(ready):
     from MedColorSlicer import parameters
 
-    hand_bound = {"referencePath", "pickedReference", "roi", "smootherOptions"}
+    hand_bound = {"referencePath", "pickedReference", "roi", "labels", "smootherOptions"}
     bound = {w.property("SlicerParameterName"): w for w in vars(ready.ui).values() if w.property("SlicerParameterName")}
     fields = set(parameters.MedColorParameterNode.__annotations__)
     assert set(bound) == fields - hand_bound
     p = ready.parameters
     check_node_control(p, "roi", ready.ui.roiSelector)
+    check_node_control(p, "labels", ready.ui.labelsSelector)
     for name, widget in bound.items():
         kind = type(widget).__name__
         if kind == "NodeComboBox":
@@ -104,6 +104,7 @@ def check_node_control(p, name, widget):
     make = {
         "inputVolume": grey_node,
         "roi": lambda: slicer.mrmlScene.AddNewNodeByClass("vtkMRMLMarkupsROINode"),
+        "labels": label_node,
     }.get(name, lambda: color_node(PICTURE))
     first, second = make(), make()
     widget.setCurrentNode(first)
@@ -138,13 +139,15 @@ def test_path_is_bound_both_ways(panel, tmp_path, name):
 
 
 def test_selectors_offer_the_right_nodes(ready):
-    labels = slicer.util.addVolumeFromArray(np.ones((2, 2, 2), np.uint8), nodeClassName="vtkMRMLLabelMapVolumeNode")
+    labels = label_node()
+    segmentation = slicer.mrmlScene.AddNewNodeByClass("vtkMRMLSegmentationNode")
     roi = slicer.mrmlScene.AddNewNodeByClass("vtkMRMLMarkupsROINode")
     offered = ready.ui.inputSelector.nodes()
     assert ready.parameters.inputVolume in offered
     assert labels not in offered
     assert ready.parameters.referenceNode not in offered
     assert ready.ui.roiSelector.nodes() == [roi]
+    assert set(ready.ui.labelsSelector.nodes()) == {labels, segmentation}
 
 
 @pytest.mark.parametrize(
@@ -216,7 +219,7 @@ def test_plan_and_times_are_readable_before_apply(ready, monkeypatch):
     import MedColorLib
 
     plan = types.SimpleNamespace(text=lambda: "left out: nothing", slices=tuple(range(40)))
-    monkeypatch.setattr(MedColorLib, "make_plan", lambda *_: plan)
+    monkeypatch.setattr(MedColorLib, "make_plan", lambda *_, **_options: plan)
     wait_for(lambda: ready.ui.planText.plainText == "left out: nothing")
     assert [ready.ui.presetComboBox.itemText(n).split(" (about ")[0] for n in range(3)] == ["Draft", "Balanced", "Full"]
     assert "min" in ready.ui.presetComboBox.itemText(2)
@@ -241,7 +244,7 @@ def test_plan_error_is_shown_in_its_place(ready, monkeypatch):
     import MedColorLib
     from MedColorLib.errors import InputError
 
-    def fail(*_):
+    def fail(*_, **_options):
         raise InputError("the picture has no colour")
 
     monkeypatch.setattr(MedColorLib, "make_plan", fail)

@@ -12,7 +12,7 @@ import unittest
 import pytest
 import slicer
 import slicer_like
-from host_fixtures import color_node, node_ids, two_colors
+from host_fixtures import color_node, label_node, node_ids, two_colors
 from panel_fixtures import close_panel, open_panel, shown
 
 # --- running ---------------------------------------------------------------------------------------------------------
@@ -150,7 +150,7 @@ def test_a_plan_that_is_being_made_ends_before_the_panel(ready, monkeypatch):
 
     ended = []
 
-    def slow(*_arguments):
+    def slow(*_arguments, **_options):
         time.sleep(0.3)
         ended.append(True)
         return types.SimpleNamespace(text=lambda: "", slices=())
@@ -406,3 +406,14 @@ def test_self_test_passes_here_too(panel):
     assert {test.id().rpartition(".")[2] for test, _reason in result.skipped} <= {
         "test_known_colors_in_the_3d_view", "test_comparison_layout", "test_samples_are_offered",
     }  # fmt: skip
+
+
+def test_apply_and_preview_take_the_tissue_labels(ready, library):
+    labels = label_node()
+    ready.ui.labelsSelector.setCurrentNode(labels)
+    ready.ui.applyButton.click()
+    ready.ui.previewButton.click()
+    assert [guard.present for guard in library.guards] == [(1, 2), (1, 2)]
+    ready.ui.labelsSelector.setCurrentNode(slicer.mrmlScene.AddNewNodeByClass("vtkMRMLSegmentationNode", "bare"))
+    assert not ready.ui.applyButton.enabled
+    assert "bare has no segments" in ready.ui.applyButton.toolTip

@@ -75,13 +75,15 @@ class StandIn:
 
     def __init__(self):
         self.calls, self.steps, self.error, self.pause_seconds = [], 4, None, 0.0
+        self.guards = []
         self.in_the_middle = lambda: None
 
-    def __call__(self, volume, references, settings=None, progress=None, cancelled=None):
+    def __call__(self, volume, references, settings=None, progress=None, cancelled=None, guard=None):
         from MedColorLib.errors import Cancelled
         from MedColorLib.volume import ColorVolume
 
         self.calls.append((volume, references, settings))
+        self.guards.append(guard)
         for step in range(self.steps):
             if progress:
                 progress(step / self.steps, f"slice {step}")
@@ -106,6 +108,16 @@ def grey_node(name="head", shape=(6, 8, 10), matrix=None, dtype=np.int16):
 
     voxels = np.arange(1, 1 + np.prod(shape)).reshape(shape).astype(dtype)
     return slicer.util.addVolumeFromArray(voxels, np.eye(4) if matrix is None else matrix, name)
+
+
+def label_node(voxels=None, name="tissues"):
+    """A label map node, by default on the grid of `grey_node()`: the lower half of the slices 1, the upper half 2."""
+    import slicer
+
+    if voxels is None:
+        voxels = np.ones((6, 8, 10), np.uint8)
+        voxels[3:] = 2
+    return slicer.util.addVolumeFromArray(voxels, np.eye(4), name, nodeClassName="vtkMRMLLabelMapVolumeNode")
 
 
 def color_node(rgb, name="colored"):
