@@ -253,7 +253,9 @@ def _left_out(settings, preset, smoother, features, view, body, chosen, referenc
 
 
 def _once(features: str) -> str:
-    return "computed once for all slices" + ("" if features == "embedded" else " and kept on disk by content for the next run")
+    return "computed once for all slices" + (
+        "" if features == "embedded" else " and kept on disk by content for the next run"
+    )
 
 
 def _left_out_of_colour(settings, smoother) -> list[LeftOut]:

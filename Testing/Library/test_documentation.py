@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import MedColorLib
-from MedColorLib.cli import _parser
+from MedColorLib.cli_options import make_parser
 
 ROOT = Path(__file__).resolve().parents[2]
 LIBRARY = ROOT / "MedColorLib"
@@ -97,7 +97,7 @@ class TestReadme:
         assert commands
         for words in commands:
             try:
-                _parser().parse_args(words)
+                make_parser().parse_args(words)
             except SystemExit as end:
                 assert end.code == 0, f"medcolor {' '.join(words)}: {capsys.readouterr().err}"
 
@@ -106,7 +106,7 @@ class TestReadme:
         names = ("colorize", "batch", "render", "recommend", "library", "weights", "demo", "bench")
         for command in ((), *((name,) for name in names)):
             with pytest.raises(SystemExit):
-                _parser().parse_args([*command, "--help"])
+                make_parser().parse_args([*command, "--help"])
             known |= set(re.findall(r"--[a-z][a-z0-9-]*", capsys.readouterr().out))
         named = set(re.findall(r"`(--[a-z][a-z0-9-]*)", self.text))
         assert named <= known | SLICERS_OWN
