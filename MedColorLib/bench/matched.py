@@ -6,12 +6,22 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..contrast import Contrast
 from ..engine import Engine
 from ..grid import to_grid
+from ..intensity import histogram_match_curve, spreading_curve
 from ..parameters import Settings
 from ..prepare import prepare
 from ..progress import Run
-from ..transfer import SliceMatch, TransferParameters, transfer_lab
+from ..transfer import (
+    SliceMatch,
+    TransferParameters,
+    combine,
+    relation_sums,
+    remainder,
+    solve_relation,
+    transfer_lab,
+)
 from ..volume import Volume
 
 
@@ -23,6 +33,7 @@ class Method:
         features: "vgg19" or "embedded". preset: key of PRESETS.
         stop_layer, context: other than the preset's; None takes the preset's.
         reconstruction: "warp" or "lbfgs".
+        contrast, orientation: False takes the histogram match, and the photograph as it lies: both as in the paper.
     """
 
     features: str
@@ -30,6 +41,8 @@ class Method:
     stop_layer: int | None = None
     context: bool | None = None
     reconstruction: str = "warp"
+    contrast: bool = True
+    orientation: bool = True
 
     @property
     def label(self) -> str:
@@ -41,12 +54,55 @@ class Method:
             parts.append("with context" if self.context else "without context")
         if self.reconstruction != "warp":
             parts.append(self.reconstruction)
+        if not self.contrast:
+            parts.append("histogram match")
+        if not self.orientation:
+            parts.append("reference as it lies")
         return ", ".join(parts)
 
     def settings(self, **changes) -> Settings:
         """Settings for one slice; the target's display grey is 0..1 unless `window` is given."""
         options = {"window": (0.0, 1.0), "features": self.features, "reconstruction": self.reconstruction, **changes}
         return Settings(preset=self.preset, **options)
+
+
+@dataclass(frozen=True)
+class Transfer:
+    """How matched colours become a slice.
+
+    Attributes:
+        smoother, gamma, luminance: as in `Settings`.
+        weighted: whether matches count by their trust; None as the pipeline does with this smoother. Needs a match with
+            trust: `Matched(..., confidence=True)`.
+        remainder: False leaves out, beside the regression, what the regression does not explain.
+    """
+
+    smoother: str
+    gamma: bool
+    luminance: str = "keep"
+    weighted: bool | None = None
+    remainder: bool = True
+
+
+class SwitchedEngine(Engine):
+    """An engine of which two steps that are not in the paper can be left out: see `Method`."""
+
+    def __init__(self, prepared, run: Run, method: Method) -> None:
+        self._method = method
+        super().__init__(prepared, run)
+
+    def _turn_references(self) -> None:
+        if self._method.orientation:
+            super()._turn_references()
+
+    def _learn_contrast(self, index: int) -> None:
+        super()._learn_contrast(index)
+        if self._method.contrast:
+            return
+        reference = self.references[index]  # how much grey explains stays as found: the context reads it
+        greys, masks = self.slices_on_grid(self.prepared.plan.slices)
+        curve = histogram_match_curve(greys[masks], reference.grey[reference.mask])
+        reference.contrast = Contrast(curve, "histogram match", reference.contrast.explained, 0.0)
 
 
 class Matched:
@@ -58,7 +114,7 @@ class Matched:
 
     def __init__(self, volume: Volume, reference: np.ndarray, method: Method, k: int = 0, **changes) -> None:
         self.prepared = prepare(volume, [reference], method.settings(**changes))
-        self.engine = Engine(self.prepared, Run(None, None))
+        self.engine = SwitchedEngine(self.prepared, Run(None, None), method)
         if method.stop_layer is not None:
             self.engine.stop_layer = method.stop_layer
             self.engine.layers = tuple(range(5, method.stop_layer - 1, -1))
@@ -81,21 +137,45 @@ class Matched:
 
     def chroma(self, smoother: str, gamma: bool) -> np.ndarray:
         """a*, b* (rows, cols, 2) of the whole slice before they are drawn into the gamut; 0 outside the body."""
-        parameters = TransferParameters(smoother, "keep", gamma, self.engine.guide_curve)
+        return self.colored(Transfer(smoother, gamma))[..., 1:]
+
+    def colored(self, how: Transfer) -> np.ndarray:
+        """L* a* b* (rows, cols, 3) of the whole slice before they are drawn into the gamut; 0 outside the body."""
+        parameters = TransferParameters(how.smoother, how.luminance, how.gamma, self._guide_curve(how.smoother))
         grey, cover = self.engine.slice_in_box(self._k)
-        match = SliceMatch(
-            self.lab, self._greys[0], self._masks[0], self._trusts[0] if self._weighs(smoother) else None
-        )
-        lab = transfer_lab(grey, cover > 0.5, match, parameters)
-        out = np.zeros((*self.prepared.view.shape[1:], 2))
+        trust = self._trusts[0] if self._weighs(how) else None
+        match = SliceMatch(self.lab, self._greys[0], self._masks[0], trust)
+        out = np.zeros((*self.prepared.view.shape[1:], 3))
         j0, j1, i0, i1 = self.prepared.body.boxes[self._k]
-        out[j0:j1, i0:i1] = lab[..., 1:]
+        out[j0:j1, i0:i1] = _transferred(grey, cover > 0.5, match, parameters, how.remainder)
         return out
 
-    def _weighs(self, smoother: str) -> bool:
-        return replace(self.prepared.settings, smoother=smoother).weighs_matches
+    def _guide_curve(self, smoother: str) -> np.ndarray | None:
+        """The pipeline's curve for this slice, also where the preset's own smoother has none."""
+        if smoother != "regression" or self.engine.guide_curve is not None:
+            return self.engine.guide_curve
+        grey, cover = self.engine.slice_in_box(self._k)
+        return spreading_curve(grey[cover > 0.5])
+
+    def _weighs(self, how: Transfer) -> bool:
+        if how.weighted is not None:
+            return how.weighted
+        return replace(self.prepared.settings, smoother=how.smoother).weighs_matches
+
+    @property
+    def body(self) -> np.ndarray:
+        """(rows, cols) bool: the body that was found, the only place that is coloured."""
+        return self.prepared.body.plane(self._k) > 0.5
 
     def box(self, plane: np.ndarray) -> np.ndarray:
         """A plane (rows, cols[, c]) of the whole slice, cut to the body's box."""
         j0, j1, i0, i1 = self.prepared.body.boxes[self._k]
         return plane[j0:j1, i0:i1]
+
+
+def _transferred(grey, mask, match: SliceMatch, parameters: TransferParameters, with_remainder: bool) -> np.ndarray:
+    if with_remainder or parameters.smoother != "regression":
+        return transfer_lab(grey, mask, match, parameters)
+    relation = solve_relation(relation_sums(match, parameters), parameters)
+    nothing = np.zeros_like(remainder(match, relation, parameters))
+    return combine(grey, mask, relation, nothing, parameters, match.within)

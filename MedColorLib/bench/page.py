@@ -16,13 +16,24 @@ details { margin: .6em 0 } summary { cursor: pointer; font-weight: 600 }
 """
 _TITLES = {
     "pipeline": "The whole pipeline",
+    "quality": "What each improvement brings",
     "smoothing": "Smoothing",
     "correspondence": "Correspondence",
     "features": "Features",
+    "profile": "Where the time goes",
+    "sidebyside": "Side by side with others",
+    "scaling": "Growth",
     "stability": "Stability",
 }
-_PLOTS = {"pipeline": ("pipeline",), "smoothing": ("smoothing", "rounding"), "correspondence": ("correspondence",)}
-_OPEN = ("summary", "stability", "regions", "calls", "features")
+_PLOTS = {
+    "pipeline": ("pipeline",),
+    "quality": ("quality",),
+    "smoothing": ("smoothing", "rounding"),
+    "correspondence": ("correspondence",),
+    "profile": ("profile",),
+    "scaling": ("scaling",),
+}
+_OPEN = ("summary", "stability", "regions", "calls", "features", "beaten", "coherence")
 _LONG = 60  # rows from which a table is folded
 
 

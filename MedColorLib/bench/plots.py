@@ -10,28 +10,34 @@ from .summary import own_variant
 from .tables import Suite, Table
 
 # Okabe and Ito's palette: told apart by everybody
-_COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-_MARKERS = "osD^vPX"
+COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+MARKERS = "osD^vPX"
 _PANELS = ("as it is", "strong", "inverted")
 _FLOOR = 1e-6  # where an error of zero is drawn on a logarithmic axis
 
 
 def draw_all(suites: dict[str, Suite]) -> dict[str, bytes]:
     """PNG by name, for the suites that were run."""
+    from . import plots_suites
+
     plots: dict[str, tuple[str, Callable[[Suite], bytes]]] = {
         "pipeline": ("pipeline", _pipeline),
         "smoothing": ("smoothing", _smoothing),
         "rounding": ("smoothing", _rounding),
         "correspondence": ("correspondence", _correspondence),
+        "quality": ("quality", plots_suites.quality),
+        "profile": ("profile", plots_suites.profile),
+        "scaling": ("scaling", plots_suites.scaling),
     }
     return {name: draw(suites[suite]) for name, (suite, draw) in plots.items() if suite in suites}
 
 
-def _figure(columns: int, width: float = 4.6):
+def figure_of(columns: int, width: float = 4.6, height: float = 4.4):
+    """An empty figure and its axes in a row, both of which are logarithmic."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(width * columns, 4.4), dpi=110, layout="constrained")
+    figure = Figure(figsize=(width * columns, height), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots(1, columns, squeeze=False, sharey=True)[0]
     for axis in axes:
@@ -54,10 +60,11 @@ def _finished(figure, axes, plain_errors: bool = True) -> bytes:
             side.set_major_formatter(FormatStrFormatter("%g"))
             side.set_minor_formatter(NullFormatter())
         axis.tick_params(labelsize=8)
-    return _png(figure)
+    return png_of(figure)
 
 
-def _png(figure) -> bytes:
+def png_of(figure) -> bytes:
+    """The figure as a PNG file."""
     stream = BytesIO()
     figure.savefig(stream, format="png")
     return stream.getvalue()
@@ -71,7 +78,7 @@ def _bars(row: dict) -> list[list[float]]:
 def _pipeline(suite: Suite) -> bytes:
     errors = suite.tables["errors"]
     section = errors.rows[0][0]
-    figure, axes = _figure(len(_PANELS))
+    figure, axes = figure_of(len(_PANELS))
     for axis, remap in zip(axes, _PANELS):
         for number, features in enumerate(("vgg19", "embedded")):
             _pipeline_points(axis, errors, {"section": section, "remap": remap, "features": features}, number)
@@ -93,8 +100,8 @@ def _pipeline_points(axis, errors: Table, keys: dict, number: int) -> None:
         own = own_variant(row["method"].split(",")[0])
         is_own = row["smoother"] == own["smoother"] and row["gamma"] == own["gamma"]
         style = {
-            "color": _COLORS[number],
-            "marker": _MARKERS[number],
+            "color": COLORS[number],
+            "marker": MARKERS[number],
             "linestyle": "none",
             "markersize": 7 if is_own else 3,
         }
@@ -112,13 +119,13 @@ def _pipeline_points(axis, errors: Table, keys: dict, number: int) -> None:
 
 def _smoothing(suite: Suite) -> bytes:
     table = suite.tables["fgs"]
-    figure, axes = _figure(len(SCENES))
+    figure, axes = figure_of(len(SCENES))
     for axis, (scene, (lam, sigma)) in zip(axes, SCENES.items()):
         for number, method in enumerate(IMPLEMENTATIONS):
             rows = [row for row in table.where(scene=scene, method=method) if row["seconds"]]
             name = "OpenCV" if method == "opencv" else f"MedColor {method}"
             points = [row["seconds"] for row in rows], [row["rms_to_wls"] for row in rows]
-            axis.plot(*points, marker=_MARKERS[number], color=_COLORS[number], label=f"FGS, {name}")
+            axis.plot(*points, marker=MARKERS[number], color=COLORS[number], label=f"FGS, {name}")
             for row in rows:
                 axis.annotate(
                     row["iterations"],
@@ -131,7 +138,7 @@ def _smoothing(suite: Suite) -> bytes:
             ("guided", "domain-transform", "wls", "regression"), start=len(IMPLEMENTATIONS)
         ):
             for row in table.where(scene=scene, method=method):
-                axis.plot(row["seconds"], row["rms_to_wls"], _MARKERS[number], color=_COLORS[number], label=method)
+                axis.plot(row["seconds"], row["rms_to_wls"], MARKERS[number], color=COLORS[number], label=method)
         exact = table.where(scene=scene, method="exact WLS")[0]
         axis.axvline(exact["seconds"], color="0.4", linestyle="--", linewidth=1, label="exact WLS, sparse direct")
         axis.set(
@@ -144,22 +151,22 @@ def _smoothing(suite: Suite) -> bytes:
 
 def _rounding(suite: Suite) -> bytes:
     table = suite.tables["stiff"]
-    figure, (axis,) = _figure(1, 6.0)
+    figure, (axis,) = figure_of(1, 6.0)
     for number, method in enumerate(IMPLEMENTATIONS):
         rows = table.where(method=method)
         finite = [row for row in rows if not isinstance(row["max_to_separable"], str)]
         values = [max(row["max_to_separable"], 1e-17) for row in finite]
         name = "OpenCV" if method == "opencv" else f"MedColor {method}"
-        axis.plot([r["lambda"] for r in finite], values, marker=_MARKERS[number], color=_COLORS[number], label=name)
+        axis.plot([r["lambda"] for r in finite], values, marker=MARKERS[number], color=COLORS[number], label=name)
         lost = [row["lambda"] for row in rows if isinstance(row["max_to_separable"], str)]
         if lost:
-            axis.plot(lost, [1.0] * len(lost), "x", color=_COLORS[number], markersize=9, label=f"{name}: not a number")
+            axis.plot(lost, [1.0] * len(lost), "x", color=COLORS[number], markersize=9, label=f"{name}: not a number")
     axis.axhline(1e-5, color="0.4", linestyle="--", linewidth=1, label="bound 1e-5")
     axis.set(
         xlabel="lambda", ylabel="largest error / largest source value", title="FGS: rounding against extended precision"
     )
     axis.legend(fontsize=7)
-    return _png(figure)
+    return png_of(figure)
 
 
 def _correspondence(suite: Suite) -> bytes:
@@ -167,18 +174,18 @@ def _correspondence(suite: Suite) -> bytes:
     first = table.where()[0]
     keys = {name: first[name] for name in ("section", "remap", "features")}
     layers = sorted({row["layer"] for row in table.where(**keys)}, reverse=True)
-    figure, axes = _figure(len(layers))
+    figure, axes = figure_of(len(layers))
     for axis, layer in zip(axes, layers):
         for number, start in enumerate(("coarser layer", "chance")):
             rows = [r for r in table.where(**keys, layer=layer, method="patchmatch", start=start) if r["iterations"]]
             points = [r["seconds"] for r in rows], [max(r["energy_ratio"] - 1, _FLOOR) for r in rows]
-            axis.plot(*points, marker=_MARKERS[number], color=_COLORS[number], label=f"PatchMatch from {start}")
+            axis.plot(*points, marker=MARKERS[number], color=COLORS[number], label=f"PatchMatch from {start}")
             for row, x, y in zip(rows, *points):
                 axis.annotate(row["iterations"], (x, y), fontsize=6, xytext=(3, 3), textcoords="offset points")
         for number, method in enumerate(("windowed", "exact, float32", "exact, bfloat16"), start=2):
             for row in table.where(**keys, layer=layer, method=method):
                 value = max(row["energy_ratio"] - 1, _FLOOR)
-                axis.plot(row["seconds"], value, _MARKERS[number], color=_COLORS[number], label=method)
+                axis.plot(row["seconds"], value, MARKERS[number], color=COLORS[number], label=method)
         axis.set(
             title=f"{keys['section']}, {keys['features']}, layer {layer}",
             xlabel="seconds",

@@ -5,18 +5,30 @@ from __future__ import annotations
 import os
 import platform
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from importlib import import_module
 from pathlib import Path
 
 from .. import __version__
-from ..errors import InputError, MissingPackageError, OutputError
+from ..errors import InputError, MissingPackageError, OutputError, SettingsError
 from ..progress import Progress
 from .pairs import Section, load_sections
 from .tables import Suite
 
 _DATA = Path(__file__).resolve().parents[3] / "shared" / "data"  # beside a checkout of the repository
-# share of the run time, for the progress bar
-_SHARES = {"pipeline": 0.62, "smoothing": 0.1, "correspondence": 0.13, "features": 0.05, "stability": 0.1}
+# in the order of the page, with a share of the run time for the progress bar
+SUITES = {
+    "pipeline": 0.35,
+    "quality": 0.25,
+    "smoothing": 0.04,
+    "correspondence": 0.06,
+    "features": 0.03,
+    "profile": 0.05,
+    "sidebyside": 0.05,
+    "scaling": 0.12,
+    "stability": 0.05,
+}
+_TOO_LONG_FOR_QUICK = ("scaling",)  # run there only when named
 
 
 def run_bench(
@@ -26,6 +38,7 @@ def run_bench(
     data: str | Path | None = None,
     seed: int = 0,
     progress: Progress | None = None,
+    suites: Sequence[str] | None = None,
 ) -> list[Path]:
     """Measure and write the report.
 
@@ -35,24 +48,43 @@ def run_bench(
         stability: only the stability table.
         data: folder with the Visible Human photographs and CT; None takes ../shared/data beside the repository, else the
             section made by formula alone.
+        suites: keys of SUITES, for some of them alone; None takes all (a quick run: all that are quick enough).
 
     Returns:
         The files written, the page first.
 
     Raises:
         InputError: `data` holds none of the pictures.
+        SettingsError: a suite that does not exist, or suites beside `stability`.
         OutputError: the folder cannot be written.
         MissingPackageError: matplotlib is not installed.
     """
     _require_matplotlib()
+    chosen = _chosen(suites, quick, stability)
     folder = _folder(Path(folder))
     progress = progress or (lambda _fraction, _text: None)
     source = _data_folder(data)
-    sections = [] if stability else load_sections(source)
+    sections = [] if chosen == ("stability",) else load_sections(source)
     load_before = _load()
-    suites, seconds = _run_suites(_suites(sections, source, quick, stability, seed), progress)
+    runs = _suites(sections, source, quick, seed)
+    measured, seconds = _run_suites({name: runs[name] for name in chosen}, progress)
     options = {"quick": quick, "stability": stability, "seed": seed, "sections": [section.name for section in sections]}
-    return _write(folder, suites, seconds, options, load_before)
+    return _write(folder, measured, seconds, options, load_before)
+
+
+def _chosen(suites: Sequence[str] | None, quick: bool, stability: bool) -> tuple[str, ...]:
+    """The suites to run, in the page's order."""
+    if suites is None:
+        whole = tuple(name for name in SUITES if not (quick and name in _TOO_LONG_FOR_QUICK))
+        return ("stability",) if stability else whole
+    if stability:
+        raise SettingsError("bench: --stability is a suite by itself; name it among --suites or leave --suites out")
+    wanted = {name.strip() for name in suites}
+    unknown = sorted(wanted - set(SUITES))
+    if unknown or not wanted:
+        named = ", ".join(map(repr, unknown)) or "none"
+        raise SettingsError(f"bench: there is no suite {named}; choose from {', '.join(SUITES)}")
+    return tuple(name for name in SUITES if name in wanted)
 
 
 def _require_matplotlib() -> None:
@@ -84,28 +116,34 @@ def _data_folder(given: str | Path | None) -> Path | None:
     return Path(given)
 
 
-def _suites(sections: list[Section], data: Path | None, quick: bool, only_stability: bool, seed: int):
+def _suites(sections: list[Section], data: Path | None, quick: bool, seed: int) -> dict[str, Callable]:
     """Name -> function of progress that measures the suite."""
-    from . import stability, suite_correspondence, suite_features, suite_pipeline, suite_smoothing
+    from . import stability
 
-    if only_stability:
-        return {"stability": stability.run}
+    def by_module(name: str, *arguments) -> Callable[[Progress], Suite]:
+        def measure(progress: Progress) -> Suite:
+            return import_module(f".suite_{name}", __package__).run(*arguments, quick, seed, progress)
 
-    def correspondence(progress: Progress) -> Suite:
-        from ..features import make_extractor
+        return measure
 
-        names = ("vgg19", "embedded") if suite_pipeline.has_network() else ("embedded",)
-        extractors = [make_extractor(name, "cpu") for name in (names[:1] if quick else names)]
-        pairs = sections[:1] if quick else sections[:1] + sections[1:][-1:]
-        return suite_correspondence.run(pairs, extractors, quick, seed, progress)
-
+    first = sections[0] if sections else None
     return {
         "pipeline": lambda progress: _pipeline(sections, data, quick, seed, progress),
-        "smoothing": lambda progress: suite_smoothing.run(sections[0], quick, seed, progress),
-        "correspondence": correspondence,
-        "features": lambda progress: suite_features.run(sections[0], quick, seed, progress),
+        "quality": by_module("quality", sections, data),
+        "correspondence": lambda progress: _correspondence(sections, quick, seed, progress),
+        **{name: by_module(name, first) for name in ("smoothing", "features", "profile", "sidebyside", "scaling")},
         "stability": stability.run,
     }
+
+
+def _correspondence(sections: list[Section], quick: bool, seed: int, progress: Progress) -> Suite:
+    from ..features import make_extractor
+    from . import suite_correspondence, suite_pipeline
+
+    names = ("vgg19", "embedded") if suite_pipeline.has_network() else ("embedded",)
+    extractors = [make_extractor(name, "cpu") for name in (names[:1] if quick else names)]
+    pairs = sections[:1] if quick else sections[:1] + sections[1:][-1:]
+    return suite_correspondence.run(pairs, extractors, quick, seed, progress)
 
 
 def _pipeline(sections: list[Section], data: Path | None, quick: bool, seed: int, progress: Progress) -> Suite:
@@ -127,10 +165,10 @@ def _pipeline(sections: list[Section], data: Path | None, quick: bool, seed: int
 
 
 def _run_suites(suites: dict[str, Callable[[Progress], Suite]], progress: Progress):
-    total = sum(_SHARES[name] for name in suites)
+    total = sum(SUITES[name] for name in suites)
     results, seconds, done = {}, {}, 0.0
     for name, run in suites.items():
-        share, start = _SHARES[name] / total, time.perf_counter()
+        share, start = SUITES[name] / total, time.perf_counter()
         results[name] = run(lambda f, text, d=done, s=share: progress(d + s * f, text))
         seconds[name] = round(time.perf_counter() - start, 1)
         done += share
@@ -160,10 +198,9 @@ def _write(
     from .page import make_page
     from .plots import draw_all
     from .schema import SCHEMA, check_results, to_text
-    from .summary import TARGET_COLUMNS, targets
-    from .tables import Table
+    from .summary import all_targets
 
-    table = targets(suites["pipeline"]) if "pipeline" in suites else Table(TARGET_COLUMNS)
+    table = all_targets(suites)
     data = {
         "schema": SCHEMA,
         "medcolor": __version__,

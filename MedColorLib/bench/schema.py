@@ -6,7 +6,21 @@ import json
 from typing import Any
 
 from ..errors import InputError
-from . import regions, stability, suite_correspondence, suite_features, suite_pipeline, suite_smoothing, summary
+from . import (
+    machine,
+    regions,
+    slabs,
+    stability,
+    suite_correspondence,
+    suite_features,
+    suite_pipeline,
+    suite_profile,
+    suite_quality,
+    suite_scaling,
+    suite_sidebyside,
+    suite_smoothing,
+    summary,
+)
 
 SCHEMA = 1
 TABLES = {
@@ -17,6 +31,16 @@ TABLES = {
     "stiff": suite_smoothing.STIFF_COLUMNS,
     "fields": suite_correspondence.COLUMNS,
     "features": suite_features.COLUMNS,
+    "improvements": suite_quality.COLUMNS,
+    "beaten": suite_quality.BEATEN_COLUMNS,
+    "coherence": slabs.COLUMNS,
+    "stages": suite_profile.COLUMNS,
+    "machine": machine.COLUMNS,
+    "network": suite_profile.NETWORK_COLUMNS,
+    "sidebyside": suite_sidebyside.COLUMNS,
+    "scaling": suite_scaling.COLUMNS,
+    "exponents": suite_scaling.EXPONENT_COLUMNS,
+    "memory": suite_scaling.MEMORY_COLUMNS,
     "stability": stability.COLUMNS,
     "summary": summary.SUMMARY_COLUMNS,
     "targets": summary.TARGET_COLUMNS,
@@ -25,7 +49,7 @@ _NOT_FINITE = ("nan", "inf", "-inf")
 _VERDICTS = ("pass", "refused", "FAIL")
 _TEXT = {
     "section", "remap", "features", "method", "smoother", "what", "region", "scene", "start", "precision", "area", "case",
-    "condition", "expected", "got", "verdict", "beside", "target",
+    "condition", "expected", "got", "verdict", "beside", "target", "baseline", "volume", "stage", "per", "unit",
 }  # fmt: skip
 _FLAGS = {"gamma", "met"}
 

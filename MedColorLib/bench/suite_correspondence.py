@@ -36,7 +36,7 @@ _CHUNK = 256  # rows of the similarity matrix at a time: 16 MB at layer 2
 
 
 @dataclass(frozen=True)
-class _Layer:
+class Layer:
     """One layer of a pair: unit features (1, C, h, w), masks and the true positions in the reference's layer."""
 
     number: int
@@ -63,17 +63,17 @@ def run(sections: list[Section], extractors: list[Extractor], quick: bool, seed:
 
 
 def _measure(suite: Suite, pair: Pair, extractor: Extractor, number: int, quick: bool, seed: int) -> None:
-    coarse, layer = _layers(pair, extractor, (number + 1, number))
+    coarse, layer = layers_of(pair, extractor, (number + 1, number))
     radius = PATCH_RADIUS[number]
     best = exhaustive(layer.target, layer.reference, layer.reference_mask, radius)
-    least = _energy(layer, best, radius)
+    least = energy(layer, best, radius)
     parent = exhaustive(coarse.target, coarse.reference, coarse.reference_mask, PATCH_RADIUS[number + 1])
     start = upsample(parent, tuple(layer.reference.shape[2:]), coarse.reference.shape[3])
     keys = {"section": pair.section.name, "remap": pair.remap, "features": extractor.name, "layer": number}
     for method, origin, iterations, call in _methods(layer, start, radius, quick, seed):
         field, seconds = timed(call, 2)
         mean, median = _end_point(layer, field)
-        ratio = _energy(layer, field, radius) / least
+        ratio = energy(layer, field, radius) / least
         if ratio < 1 - 1e-4:  # better than exhaustive: one of the two is wrong
             suite.failures.append(
                 (f"time of {method}, layer {number}", f"energy {ratio:.4f} of an exhaustive search's")
@@ -84,7 +84,7 @@ def _measure(suite: Suite, pair: Pair, extractor: Extractor, number: int, quick:
         suite.tables["fields"].add(**keys_of_row, **columns, **seconds.columns())
 
 
-def _methods(layer: _Layer, start: Tensor, radius: int, quick: bool, seed: int):
+def _methods(layer: Layer, start: Tensor, radius: int, quick: bool, seed: int):
     """(method, start, iterations, call that returns the field (1, h, w))."""
     pair = layer.target, layer.reference
     if layer.number > 2:  # below, the similarity of all with all is 1 GB
@@ -120,7 +120,7 @@ def _patchmatch(layer, start, radius, reach, iterations, seed) -> Callable[[], T
     return call
 
 
-def _random_field(layer: _Layer, seed: int) -> Tensor:
+def _random_field(layer: Layer, seed: int) -> Tensor:
     allowed = torch.nonzero(layer.reference_mask.reshape(-1))[:, 0]
     shape = (1, *layer.target.shape[2:])
     return allowed[torch.randint(len(allowed), shape, generator=torch.Generator().manual_seed(seed))]
@@ -135,12 +135,13 @@ def exhaustive(target: Tensor, reference: Tensor, reference_mask: Tensor, radius
     return torch.cat(best).view(1, *target.shape[2:])
 
 
-def _energy(layer: _Layer, field: Tensor, radius: int) -> float:
+def energy(layer: Layer, field: Tensor, radius: int) -> float:
+    """Mean patch distance 2 - 2 <F, F'> inside the body, in float64."""
     similarity = patchmatch.patch_similarity(layer.target.double(), layer.reference.double(), field, radius).double()
     return float((2 - 2 * similarity)[layer.target_mask].mean())
 
 
-def _end_point(layer: _Layer, field: Tensor) -> tuple[float, float]:
+def _end_point(layer: Layer, field: Tensor) -> tuple[float, float]:
     """Mean and median distance to the true position, in pixels of the full raster."""
     stride = 2 ** (layer.number - 1)
     cols = layer.reference.shape[3]
@@ -149,14 +150,15 @@ def _end_point(layer: _Layer, field: Tensor) -> tuple[float, float]:
     return float(distance.mean()), float(distance.median())
 
 
-def _layers(pair: Pair, extractor: Extractor, numbers: tuple[int, ...]) -> list[_Layer]:
+def layers_of(pair: Pair, extractor: Extractor, numbers: tuple[int, ...]) -> list[Layer]:
+    """Some layers of a pair, target and reference by themselves (nothing blended)."""
     reference_grey = lightness_to_gray(pair.section.lab[..., 0]) * pair.section.mask
     planes = [torch.from_numpy(grey.astype(np.float32))[None, None] for grey in (pair.grey, reference_grey)]
     target, reference = (extractor.extract(plane, numbers) for plane in planes)
     return [_layer(pair, number, unit(target[number]), unit(reference[number])) for number in numbers]
 
 
-def _layer(pair: Pair, number: int, target: Tensor, reference: Tensor) -> _Layer:
+def _layer(pair: Pair, number: int, target: Tensor, reference: Tensor) -> Layer:
     stride = 2 ** (number - 1)
 
     def shrunk(plane: np.ndarray) -> Tensor:
@@ -165,4 +167,4 @@ def _layer(pair: Pair, number: int, target: Tensor, reference: Tensor) -> _Layer
 
     masks = shrunk(pair.mask) > 0.5, shrunk(pair.section.mask) > 0.5
     true = (shrunk(np.clip(pair.source[..., axis], 0, SIZE_PX - 1)) for axis in (0, 1))
-    return _Layer(number, target.contiguous(), reference.contiguous(), masks[0][None], masks[1], *true)
+    return Layer(number, target.contiguous(), reference.contiguous(), masks[0][None], masks[1], *true)

@@ -143,7 +143,7 @@ def _add_method(suite: Suite, pair: Pair, method: Method, quick: bool, times: bo
             suite.failures.append((name, f"error {errors.mean:.2f} is not below the mean colour's {worst:.2f}"))
         elif matching:
             transfer = timed(lambda v=variant: matched.chroma(v.smoother, v.gamma), runs)[1]
-            seconds = _sum(matching, transfer).columns()
+            seconds = summed_seconds(matching, transfer).columns()
         suite.tables["errors"].add(**keys, **vars(variant), **_error_columns(errors), **seconds)
     if times and method.label in PRESETS and not (quick and deep):
         _add_call(suite.tables["calls"], pair, method, runs)
@@ -159,7 +159,8 @@ def _add_call(table: Table, pair: Pair, method: Method, runs: int) -> None:
     )
 
 
-def _sum(a: Seconds, b: Seconds) -> Seconds:
+def summed_seconds(a: Seconds, b: Seconds) -> Seconds:
+    """Median and quartiles of two steps that follow each other."""
     return Seconds(a.median + b.median, a.low + b.low, a.high + b.high, min(a.runs, b.runs))
 
 

@@ -87,10 +87,15 @@ def timed(call: Callable[[], Any], runs: int, least_s: float = 0.0, warm: bool =
         start = time.perf_counter()
         call()
         seconds.append(time.perf_counter() - start)
-    if len(seconds) < 2:
-        return result, Seconds(seconds[0], seconds[0], seconds[0], 1)
-    low, median, high = statistics.quantiles(seconds, n=4, method="inclusive")
-    return result, Seconds(median, low, high, len(seconds))
+    return result, seconds_of(seconds)
+
+
+def seconds_of(measured: list[float]) -> Seconds:
+    """Median and quartiles of one or more run times."""
+    if len(measured) < 2:
+        return Seconds(measured[0], measured[0], measured[0], 1)
+    low, median, high = statistics.quantiles(measured, n=4, method="inclusive")
+    return Seconds(median, low, high, len(measured))
 
 
 def _plain(value: Any) -> Any:

@@ -1,0 +1,79 @@
+"""Diagrams of the suites quality, profile and scaling. Needs matplotlib."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .plots import COLORS, MARKERS, figure_of, png_of
+from .suite_profile import PER_SLICE
+from .tables import Suite
+
+
+def quality(suite: Suite) -> bytes:
+    """Bars of the error of every mode on the first pair, and the same errors against time."""
+    table = suite.tables["improvements"]
+    first = table.where()[0]
+    rows = table.where(section=first["section"], remap=first["remap"])
+    names = [f"{row['method']} ({row['features']})" if row["features"] else row["method"] for row in rows]
+    places = np.arange(len(rows))[::-1]
+    figure, (bars, plane) = figure_of(2, 6.0, 0.8 + 0.26 * len(rows))
+    bars.set(xscale="linear", yscale="linear")  # before the ticks, which a change of scale takes away
+    plane.set(yscale="linear")
+    bars.barh(places, [row["mean"] for row in rows], color=[COLORS[0] if row["features"] else "0.6" for row in rows])
+    for row, place in zip(rows, places):
+        if row["seconds"] is None:
+            continue
+        bar = [[row["seconds"] - row["seconds_low"]], [row["seconds_high"] - row["seconds"]]]
+        plane.errorbar(row["seconds"], place, xerr=bar, marker="o", color=COLORS[1], linestyle="none", markersize=4)
+    bars.set_yticks(places, names, fontsize=7)
+    bars.set(xlabel="mean CIEDE2000", title=f"{first['section']}, luminance {first['remap']}")
+    plane.set(xlabel="seconds per slice of 256 x 256", title="seconds of the same lines")
+    _plain_ticks(plane.xaxis)
+    return png_of(figure)
+
+
+def _plain_ticks(side) -> None:
+    """1, 2, 5 and their decades as plain numbers along a logarithmic axis."""
+    from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
+
+    side.set_major_locator(LogLocator(subs=(1, 2, 5), numticks=30))
+    side.set_major_formatter(FormatStrFormatter("%g"))
+    side.set_minor_formatter(NullFormatter())
+
+
+def profile(suite: Suite) -> bytes:
+    """Stacked bars: the share of every stage in the time of a slice."""
+    table = suite.tables["stages"]
+    kinds = list(dict.fromkeys((row["features"], row["method"], row["side_px"]) for row in table.where()))
+    figure, (axis,) = figure_of(1, 9.0, 1.4 + 0.4 * len(kinds))
+    axis.set(xscale="linear", yscale="linear", xlabel="seconds per slice")
+    places = np.arange(len(kinds))[::-1]
+    left = np.zeros(len(kinds))
+    for color, stage in zip((*COLORS, "#F0E442", "0.6"), PER_SLICE):
+        taken = []
+        for features, method, side in kinds:
+            taken.append(table.where(features=features, method=method, side_px=side, stage=stage)[0]["seconds"])
+        axis.barh(places, taken, left=left, color=color, label=stage)
+        left += taken
+    axis.set_yticks(places, [f"{features} {method}, {side} px" for features, method, side in kinds], fontsize=8)
+    axis.legend(fontsize=7, ncols=5, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+    return png_of(figure)
+
+
+def scaling(suite: Suite) -> bytes:
+    """Seconds over size, both logarithmic, a panel a unit."""
+    times, fits = suite.tables["scaling"], suite.tables["exponents"]
+    units = list(dict.fromkeys(row["unit"] for row in times.where()))
+    figure, axes = figure_of(len(units), 3.6)
+    for axis, unit in zip(axes, units):
+        for number, what in enumerate(dict.fromkeys(row["what"] for row in times.where(unit=unit))):
+            rows = times.where(what=what)
+            exponent = fits.where(what=what)[0]["exponent"]
+            points = [row["x"] for row in rows], [row["seconds"] for row in rows]
+            label = f"{what}: {exponent:.2f}"
+            axis.plot(*points, marker=MARKERS[number], color=COLORS[number], label=label)
+        axis.set(xlabel=unit, ylabel="seconds")
+        for side in (axis.xaxis, axis.yaxis) if unit != "pixels" else (axis.yaxis,):
+            _plain_ticks(side)
+        axis.legend(fontsize=7, title="exponent", title_fontsize=7)
+    return png_of(figure)

@@ -1,0 +1,491 @@
+"""The benchmark's suites quality, profile, sidebyside and scaling: their measures against known answers, and their claims."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch.utils.flop_counter import FlopCounterMode
+
+from MedColorLib.bench import (
+    pairs,
+    run,
+    schema,
+    slabs,
+    suite_pipeline,
+    suite_profile,
+    suite_quality,
+    suite_scaling,
+    suite_sidebyside,
+    work,
+)
+from MedColorLib.bench.machine import Machine
+from MedColorLib.bench.matched import Matched, Method, Transfer
+from MedColorLib.bench.peak_memory import tall_phantom
+from MedColorLib.bench.plain_patchmatch import PatchDistance, plain_patchmatch
+from MedColorLib.bench.quality import baselines, color_errors, color_spill, dark_share
+from MedColorLib.bench.stopwatch import Stopwatch
+from MedColorLib.bench.summary import ERROR_TARGETS, all_targets, own_variant
+from MedColorLib.bench.tables import Suite, Table
+from MedColorLib.cli import main
+from MedColorLib.correspondence import exact, patchmatch, windowed
+from MedColorLib.errors import InputError, MedColorError, SettingsError
+from MedColorLib.parameters import PRESETS, Settings
+from MedColorLib.phantom import sample, section
+from MedColorLib.prepare import prepare
+
+
+@pytest.fixture(scope="module")
+def phantom():
+    return pairs.make_section("phantom", section())
+
+
+@pytest.fixture(scope="module")
+def pair(phantom):
+    return pairs.make_pair(phantom, "inverted")
+
+
+class TestSpill:
+    def test_truth_has_none_and_no_colour_misses_every_step(self, pair):
+        assert color_spill(pair.truth[..., 1:], pair) == 0
+        assert color_spill(np.zeros((256, 256, 2)), pair) == pytest.approx(1)
+        assert color_spill(baselines(pair)["mean colour"], pair) == pytest.approx(1)
+
+    def test_what_is_wrong_alike_on_both_sides_does_not_count(self, pair):
+        assert color_spill(pair.truth[..., 1:] + [9, -5], pair) == pytest.approx(0, abs=1e-12)
+
+    def test_half_the_step_is_half_missing(self, pair):
+        assert color_spill(pair.truth[..., 1:] / 2, pair) == pytest.approx(0.5)
+
+    def test_blur_spills_more_the_wider_it_is(self, pair):
+        from scipy.ndimage import gaussian_filter
+
+        spills = [color_spill(gaussian_filter(pair.truth[..., 1:], (s, s, 0)), pair) for s in (1, 3, 9)]
+        assert 0 < spills[0] < spills[1] < spills[2] < 1
+
+    def test_without_edges_there_is_no_number(self, pair):
+        flat = replace(pair, truth=np.broadcast_to([50.0, 10.0, 10.0], pair.truth.shape))
+        assert color_spill(flat.truth[..., 1:], flat) is None
+
+
+def test_dark_share_counts_what_was_darkened(pair):
+    from MedColorLib.color.lab import gray_to_lightness
+
+    scan = gray_to_lightness(pair.grey)
+    assert dark_share(scan - 14, pair, pair.mask) == 0
+    left = pair.mask & (np.arange(256) < 128)
+    assert dark_share(np.where(left, scan - 16, scan), pair, pair.mask) == pytest.approx(left.sum() / pair.mask.sum())
+    assert dark_share(np.where(left, scan - 16, scan), pair, pair.mask & ~left) == 0
+
+
+class TestSwitches:
+    def test_each_improvement_changes_one_thing(self):
+        by_name = {mode.name: mode for mode in suite_quality.modes("embedded")}
+        short = by_name["paper, to layer 3"]
+        assert (short.method.label, by_name["paper"].method.label) == (
+            "full, to layer 3, without context, histogram match, reference as it lies",
+            "full, without context, histogram match, reference as it lies",
+        )
+        for name, mode in by_name.items():
+            if name.startswith("+"):
+                differs = [
+                    *(
+                        field
+                        for field in vars(mode.method)
+                        if getattr(mode.method, field) != getattr(short.method, field)
+                    ),
+                    *(
+                        field
+                        for field in vars(mode.transfer)
+                        if getattr(mode.transfer, field) != getattr(short.transfer, field)
+                    ),
+                ]
+                assert len(differs) == (2 if name == "+ regression" else 1), (
+                    name,
+                    differs,
+                )  # it has no remainder, either
+        own = PRESETS["balanced"]
+        assert by_name["all together"].transfer == Transfer(own.smoother, own.gamma)
+        assert by_name["all together"].method == Method("embedded", "balanced")
+
+    def test_contrast_and_orientation_can_be_left_out(self, phantom):
+        target = pairs.make_pair(phantom, "inverted")
+        upside_down = phantom.rgb[::-1]
+        with_all = Matched(target.volume, upside_down, Method("embedded", "draft")).engine.references[0]
+        plain = Method("embedded", "draft", contrast=False, orientation=False)
+        without = Matched(target.volume, upside_down, plain).engine.references[0]
+        assert with_all.way in ("upside down", "turned by half")
+        assert with_all.contrast.kind.startswith("learned")
+        assert without.way == "as it is"
+        assert without.contrast.kind == "histogram match"
+        assert (np.diff(without.contrast.curve) >= 0).all()
+
+    def test_transfer_switches_matter(self, phantom):
+        target = pairs.make_pair(phantom, "inverted")
+        matched = Matched(target.volume, phantom.rgb, Method("embedded", "draft"))
+        first = Transfer("regression", False)
+        changed = [
+            replace(first, remainder=False),
+            replace(first, weighted=False),
+            replace(first, gamma=True),
+            replace(first, luminance="paper"),
+        ]
+        colors = matched.colored(first)
+        assert np.array_equal(colors[..., 1:], matched.chroma("regression", False))
+        assert not any(np.array_equal(colors, matched.colored(how)) for how in changed)
+        assert matched.body[colors.any(-1)].all()
+
+
+def _mean(section_, remap: str, mode: suite_quality.Mode) -> float:
+    target = pairs.make_pair(section_, remap)
+    matched = Matched(target.volume, section_.rgb, mode.method, confidence=mode.trusted)
+    return color_errors(matched.colored(mode.transfer)[..., 1:], target).mean
+
+
+def _beats_everything(section_, remap: str, lines: list) -> None:
+    suite = Suite({"improvements": Table(suite_quality.COLUMNS)})
+    wanted = [mode for mode in lines if mode.name in (suite_quality.PAPER, suite_quality.DEFAULT)]
+    suite_quality.measure_pair(suite, pairs.make_pair(section_, remap), section_.rgb, wanted, runs=0)
+    rows = suite_quality.beaten(suite.tables["improvements"]).where()
+    assert not suite.failures
+    assert len(rows) == len(wanted) / 2
+    assert all(row["met"] for row in rows), rows
+
+
+class TestDefaultBeatsPaperAndBaselines:
+    @pytest.mark.parametrize("remap", pairs.REMAPS)
+    def test_on_the_phantom(self, phantom, remap):
+        _beats_everything(phantom, remap, suite_quality.modes("embedded", paper="balanced"))
+
+    @pytest.mark.slow
+    @pytest.mark.parametrize("remap", pairs.REMAPS)
+    @pytest.mark.parametrize("name", ["thorax", "head"])
+    def test_on_photographs_with_embedded_features(self, shared_data, name, remap):
+        photograph = next(s for s in pairs.load_sections(shared_data) if s.name == name)
+        _beats_everything(photograph, remap, suite_quality.modes("embedded", paper="balanced"))
+
+    @pytest.mark.slow
+    @pytest.mark.parametrize("remap", pairs.REMAPS)
+    @pytest.mark.parametrize("name", ["thorax", "head"])
+    def test_on_photographs_with_vgg19(self, shared_data, shared_weights, monkeypatch, name, remap):
+        monkeypatch.setenv("MEDCOLOR_WEIGHTS", str(shared_weights))
+        photograph = next(s for s in pairs.load_sections(shared_data) if s.name == name)
+        _beats_everything(photograph, remap, suite_quality.modes("vgg19", paper="balanced"))
+
+    @pytest.mark.slow
+    @pytest.mark.parametrize(("features", "preset", "remap", "limit"), [t for t in ERROR_TARGETS if t[1] == "balanced"])
+    def test_limits_on_the_thorax(self, shared_data, shared_weights, monkeypatch, features, preset, remap, limit):
+        monkeypatch.setenv("MEDCOLOR_WEIGHTS", str(shared_weights))
+        thorax = pairs.load_sections(shared_data)[0]
+        mode = suite_quality.Mode("", Method(features, preset), Transfer(**own_variant(preset)))
+        assert _mean(thorax, remap, mode) <= limit
+
+
+class TestCoherence:
+    def test_flicker_is_the_mean_difference_where_grey_agrees(self):
+        rgb = np.zeros((3, 2, 2, 3), np.uint8)
+        rgb[1] = 119  # L* 50
+        pairs_ = np.zeros((2, 2, 2), bool)
+        assert slabs.flicker(rgb, pairs_) == 0
+        pairs_[0, 0, 0] = True
+        one = slabs.flicker(rgb, pairs_)
+        pairs_[:, 1, 1] = True
+        assert slabs.flicker(rgb, pairs_) == pytest.approx(one)
+        pairs_[:] = True
+        rgb[:] = 77
+        assert slabs.flicker(rgb, pairs_) == 0
+
+    def test_only_equal_grey_inside_the_body_counts(self):
+        volume, reference = sample()
+        prepared = prepare(volume, [reference], Settings(preset="draft", features="embedded"))
+        equal = slabs.equal_voxels(prepared)
+        span = prepared.window.high - prepared.window.low
+        clipped = np.clip(volume.array.astype(float), prepared.window.low, prepared.window.high)
+        step = np.abs(np.diff(clipped, axis=0))
+        assert equal.any()
+        assert step[equal].max() <= span / 255 / 2 * (1 + 1e-4)
+        body = np.stack([prepared.body.painted(k, plane) for k, plane in enumerate(volume.array)])
+        assert not (equal & ~body[1:]).any()
+
+    @pytest.mark.slow
+    def test_averaging_lessens_flicker_on_the_phantom(self):
+        table = Table(slabs.COLUMNS)
+        slabs.measure(table, slabs.load_slabs(None, True)[0], Settings(preset="draft", features="embedded"))
+        assert table.where()[0]["ratio"] > 1.5
+
+    def test_slabs_keep_their_place(self, shared_data):
+        from MedColorLib.volume_io import read_volume
+
+        slab = slabs.load_slabs(shared_data, False)[1]
+        whole = read_volume(shared_data / "vhf_head_ct.nrrd")
+        assert slab.volume.array.shape[0] == 24
+        first = int(np.argmax([(plane == slab.volume.array[0]).all() for plane in whole.array]))
+        assert np.allclose(slab.volume.ijk_to_ras @ [3, 4, 0, 1], whole.ijk_to_ras @ [3, 4, first, 1])
+
+
+class TestProfile:
+    def test_inner_stages_do_not_count_to_outer_ones(self, monkeypatch):
+        ticks = iter([0.0, 1.0, 4.0, 10.0])  # outer from 0 to 10, inner from 1 to 4
+        monkeypatch.setattr("MedColorLib.bench.stopwatch.time.perf_counter", lambda: next(ticks))
+        watch = Stopwatch()
+        with watch.stage("outer"), watch.stage("inner"):
+            pass
+        assert watch.seconds == {"outer": 7.0, "inner": 3.0}
+
+    def test_functions_are_given_back_after_an_error(self):
+        before = exact.search
+        watch = Stopwatch()
+        with pytest.raises(ZeroDivisionError), watch.watching((exact, "search", "search")):
+            assert exact.search is not before
+            raise ZeroDivisionError
+        assert exact.search is before
+
+    def test_network_operations_are_those_that_torch_counts(self):
+        class Weights:
+            """Tensors of VGG-19's shapes, all zero."""
+
+            def tensor(self, name: str) -> torch.Tensor:
+                block, index = int(name[4]), int(name[6])
+                widths = (3, 64, 128, 256, 512, 512)
+                inputs = widths[block - 1] if index == 1 else widths[block]
+                return torch.zeros((widths[block], inputs, 3, 3) if "weight" in name else widths[block])
+
+        forward = suite_profile._bare(Weights(), torch.zeros(1, 3, 32, 48), torch.contiguous_format)
+        with FlopCounterMode(display=False) as counter:
+            forward()
+        third_plane = 18 * 64 * 32 * 48
+        assert work.vgg19_work(32 * 48, "float32").operations == counter.get_total_flops() - third_plane
+
+    def test_product_operations_are_those_that_torch_counts(self):
+        sides = torch.rand(7, 4, 5), torch.rand(7, 4, 5)
+        with FlopCounterMode(display=False) as counter:
+            exact.similarity_volume(*sides, 1)
+        counted = work.matching_work({4: 20}, {4: 7})
+        assert counted["similarity product"].operations == counter.get_total_flops()
+
+    def test_limit_is_the_slower_of_computing_and_moving(self):
+        machine = Machine({"float32": 100.0, "bfloat16": 400.0}, 10.0)
+        assert machine.least_seconds(200, 5, "float32") == 2
+        assert machine.least_seconds(200, 50, "bfloat16") == 5
+        assert machine.least_seconds(None, 50, "float32") == 5
+
+    def test_notes_hold_the_formulas(self):
+        assert "similarity product: 2 C P^2 operations; bytes: 8 C P" in work.formulas()
+
+    def test_all_stages_take_time_and_shares_add_up(self, phantom, small_raster):
+        table = Table(suite_profile.COLUMNS)
+        machine = Machine({"float32": 1e11, "bfloat16": 1e11}, 1e10)
+        settings = Settings(preset="balanced", features="embedded", window=(0.0, 1.0))
+        volume = suite_profile.slice_volume(phantom, 64, 0)
+        suite_profile.measure(table, machine, volume, phantom.rgb, settings, quick=True)
+        rows = {row["stage"]: row for row in table.where()}
+        assert tuple(rows) == (*suite_profile.ONCE, *suite_profile.PER_SLICE)
+        assert sum(row["share"] for row in rows.values() if row["per"] == "slice") == pytest.approx(1, abs=1e-4)
+        assert all(row["seconds"] > 0 for row in rows.values())
+        counted = ("features", "similarity product", "box sum", "argmax", "colour")
+        assert all(rows[stage]["operations"] > 0 and rows[stage]["share_of_limit"] > 0 for stage in counted)
+
+
+def unit_maps(shape, shape2, channels=6, seed=0):
+    """Random features of length 1: (C, h, w) and (C, h2, w2) torch tensors."""
+    generator = torch.Generator().manual_seed(seed)
+    maps = [torch.randn(channels, *s, generator=generator) for s in (shape, shape2)]
+    return [values / values.norm(dim=0, keepdim=True) for values in maps]
+
+
+class TestPlainPatchMatch:
+    @pytest.mark.parametrize("radius", [0, 1, 2])
+    def test_distance_is_the_papers(self, radius):
+        target, reference = unit_maps((5, 4), (3, 6))
+        table = 2 - 2 * exact.similarity_volume(target, reference, radius)
+        distance = PatchDistance(target.numpy(), reference.numpy(), radius)
+        for p in np.ndindex(5, 4):
+            for q in np.ndindex(3, 6):
+                assert distance(p, q) == pytest.approx(float(table[p[0] * 4 + p[1], q[0] * 6 + q[1]]), abs=1e-5)
+
+    def test_finds_the_exhaustive_field_when_it_searches_everywhere(self):
+        target, reference = unit_maps((6, 6), (6, 6), seed=1)
+        start = np.random.default_rng(0).integers(0, 36, (6, 6))
+        found = plain_patchmatch(target.numpy(), reference.numpy(), start, 1, 6, 300)
+        everywhere = torch.ones(1, 6, 6, dtype=torch.bool)
+        best = exact.search(target[None], reference[None], 1, everywhere, everywhere[0], False)[0][0]
+        assert np.array_equal(found, best.numpy())
+
+    def test_finds_a_shift_by_propagation_alone(self):
+        reference = unit_maps((9, 9), (9, 9), seed=2)[1].numpy()
+        target = reference[:, 2:8, 1:7]
+        start = np.zeros((6, 6), np.int64)
+        start[0, 0] = 2 * 9 + 1
+        found = plain_patchmatch(target, reference, start, 0, 0, 1)
+        assert np.array_equal(np.stack(np.divmod(found, 9)), np.mgrid[2:8, 1:7])
+
+    def test_matches_lie_where_they_may_and_none_gets_worse(self):
+        target, reference = unit_maps((5, 6), (6, 5), seed=3)
+        allowed = np.zeros((6, 5), bool)
+        allowed[1:5, 1:4] = True
+        start = np.full((5, 6), 2 * 5 + 2)
+        found = plain_patchmatch(target.numpy(), reference.numpy(), start, 1, 4, 3, allowed=allowed)
+        assert allowed.ravel()[found].all()
+        distance = PatchDistance(target.numpy(), reference.numpy(), 1)
+        assert all(distance(p, divmod(int(found[p]), 5)) <= distance(p, (2, 2)) for p in np.ndindex(5, 6))
+
+    @pytest.mark.parametrize("seed", range(4))
+    def test_no_search_of_ours_is_beaten_by_it(self, seed):
+        target, reference = unit_maps((8, 7), (7, 8), seed=seed)
+        mask = torch.rand(7, 8, generator=torch.Generator().manual_seed(seed)) < 0.8
+        mask[3, 3] = True
+        start = torch.full((1, 8, 7), 3 * 8 + 3)
+        plain = plain_patchmatch(target.numpy(), reference.numpy(), start[0].numpy(), 1, 8, 4, seed, mask.numpy())
+        generator = torch.Generator().manual_seed(seed)
+        sides = target[None], reference[None]
+        fields = {
+            "exact": exact.search(*sides, 1, torch.ones(1, 8, 7, dtype=torch.bool), mask, False)[0],
+            "windowed": windowed.refine(*sides, start, mask, 1)[0],
+            "patchmatch": patchmatch.refine(*sides, start, mask, 1, 8, 8, generator)[0],
+        }
+
+        def mean(field):
+            distance = PatchDistance(target.numpy(), reference.numpy(), 1)
+            return np.mean([distance(p, divmod(int(field[p]), 8)) for p in np.ndindex(8, 7)])
+
+        theirs = mean(plain)
+        assert mean(fields["exact"][0]) <= theirs + 1e-6
+        assert mean(fields["windowed"][0]) <= theirs + 1e-6  # the window holds the whole map
+        assert mean(fields["patchmatch"][0]) <= 1.1 * theirs
+
+
+class TestSideBySide:
+    def test_opencv_filters_agree(self, phantom):
+        pytest.importorskip("cv2.ximgproc")
+        suite = Suite({"sidebyside": Table(suite_sidebyside.COLUMNS)})
+        for method in suite_sidebyside.opencv_filters(suite):
+            suite_sidebyside._measure_filter(suite, method, phantom, 0)
+        rows = suite.tables["sidebyside"].where()
+        assert len(rows) == 4
+        assert not suite.failures
+        assert max(row["difference"] for row in rows) < 1e-3
+        assert all(row["time_ratio"] == pytest.approx(row["seconds"] / row["seconds_beside"], rel=1e-4) for row in rows)
+
+    def test_results_that_differ_have_no_time(self, phantom):
+        suite = Suite({"sidebyside": Table(suite_sidebyside.COLUMNS)})
+        wrong = suite_sidebyside.Beside("a filter", "other", "as it is", lambda s, g: s, lambda s, g: 2 * s)
+        suite_sidebyside._measure_filter(suite, wrong, phantom, 0)
+        assert suite.tables["sidebyside"].where()[0]["seconds"] is None
+        assert "differs from OpenCV's" in suite.failures[0][1]
+
+
+class TestScaling:
+    def test_power_laws_are_found(self):
+        x = np.array([1.0, 2, 4, 8, 16])
+        exponent, error = suite_scaling.fit_exponent(x, 3 * x**1.7)
+        assert (exponent, error) == (pytest.approx(1.7), pytest.approx(0, abs=1e-12))
+        assert suite_scaling.fit_exponent(x[:2], x[:2] ** -2)[1] is None
+
+    def test_standard_error_is_that_of_the_regression(self):
+        from scipy.stats import linregress
+
+        x, noise = np.array([1.0, 2, 4, 8, 16]), np.array([1.1, 0.9, 1.05, 0.97, 1.0])
+        exponent, error = suite_scaling.fit_exponent(x, x * noise)
+        expected = linregress(np.log(x), np.log(x * noise))
+        assert (exponent, error) == (pytest.approx(expected.slope), pytest.approx(expected.stderr))
+
+    def test_tall_phantom_has_no_two_slices_alike(self):
+        volume = tall_phantom(30, 16)
+        assert volume.array.shape == (30, 16, 16)
+        assert len({plane.tobytes() for plane in volume.array}) == 30
+
+    def test_a_process_that_fails_is_said(self, monkeypatch):
+        suite, memory = Suite(), Table(suite_scaling.MEMORY_COLUMNS)
+        suite_scaling.add_memory(suite, memory, -1)
+        assert not memory.rows
+        assert suite.failures[0][0] == "memory of -1 slices"
+
+    @pytest.mark.slow
+    def test_memory_does_not_grow_with_slices(self):
+        suite, memory = Suite(), Table(suite_scaling.MEMORY_COLUMNS)
+        for count in (50, 200):
+            suite_scaling.add_memory(suite, memory, count)
+        assert not suite.failures
+        assert (
+            memory.where()[1]["growth_mb"] < 16
+        )  # a body mask and bookkeeping; 150 slices of evidence would be 150 MB
+
+
+class TestRun:
+    def test_unknown_suites_are_refused_with_what_there_is(self, tmp_path):
+        for wanted in (["quality", "speed"], []):
+            with pytest.raises(SettingsError, match="choose from pipeline, quality"):
+                run.run_bench(tmp_path, suites=wanted)
+        with pytest.raises(SettingsError, match="suite by itself"):
+            run.run_bench(tmp_path, suites=["quality"], stability=True)
+        assert not list(tmp_path.iterdir())
+
+    def test_command_refuses_an_unknown_suite(self, tmp_path, capsys):
+        assert main(["bench", "-o", str(tmp_path), "--suites", "speed"]) == 2
+        assert f"choose from {', '.join(run.SUITES)}" in capsys.readouterr().err
+
+    def test_quick_leaves_out_what_takes_long(self):
+        assert "scaling" not in run._chosen(None, True, False)
+        assert run._chosen(["stability", "scaling"], True, False) == ("scaling", "stability")
+        assert run._chosen(None, False, False) == tuple(run.SUITES)
+
+    @pytest.mark.slow
+    def test_new_suites_write_a_page_that_fits(self, tmp_path, monkeypatch):
+        for name, preset in PRESETS.items():
+            monkeypatch.setitem(PRESETS, name, replace(preset, grid_px=64))
+        monkeypatch.setattr(run, "_DATA", tmp_path / "nothing")
+        monkeypatch.setattr(suite_pipeline, "has_network", lambda: False)
+        wanted = ("quality", "profile", "sidebyside", "scaling")
+        written = run.run_bench(tmp_path / "out", quick=True, suites=wanted)
+        data = json.loads((tmp_path / "out" / "bench.json").read_text())
+        schema.check_results(data)
+        assert tuple(data["suites"]) == wanted
+        assert {path.name for path in written} == {
+            "bench.html", "bench.json", "quality.png", "profile.png", "scaling.png",
+        }  # fmt: skip
+        page = (tmp_path / "out" / "bench.html").read_text()
+        assert page.count("data:image/png") == 3
+        improvements = data["suites"]["quality"]["tables"]["improvements"]
+        assert len(improvements["rows"]) == 3 + 11 + 3 + 2
+
+
+def test_targets_of_the_new_suites():
+    beaten = Table(suite_quality.BEATEN_COLUMNS)
+    for met in (True, False):
+        beaten.add(section="phantom", remap="mild", features="embedded", met=met)
+    coherence = Table(slabs.COLUMNS)
+    for volume, share in (("phantom", 0.9), ("CT head", 0.3), ("MR head", 0.4)):
+        coherence.add(volume=volume, with_coherence=share, slice_by_slice=1.0)
+    network = Table(suite_profile.NETWORK_COLUMNS)
+    network.add(features="vgg19", what="extractor, layers 5 to 3", ratio=1.4)
+    memory = Table(suite_scaling.MEMORY_COLUMNS)
+    for slices, growth in ((50, 0.0), (800, 30.0)):
+        memory.add(slices=slices, growth_mb=growth)
+    tables = {"beaten": beaten, "coherence": coherence, "network": network, "memory": memory}
+    rows = all_targets({"one": Suite(tables)}).where()
+    assert [(row["value"], row["met"]) for row in rows] == [
+        (1, False),
+        (0.3, True),
+        (0.4, False),
+        (1.4, True),
+        (30, False),
+    ]
+
+
+def test_a_wrong_row_of_the_new_tables_is_refused():
+    with pytest.raises(InputError, match="row 0, unit: unexpected 3"):
+        schema._table(
+            "suite scaling", "scaling", {"columns": list(suite_scaling.COLUMNS), "rows": [["a", 1, 3, 1, 1, 1, 1]]}
+        )
+
+
+def test_peak_memory_is_asked_of_a_real_process(monkeypatch):
+    from MedColorLib.bench import peak_memory
+
+    monkeypatch.setattr(peak_memory.sys, "executable", str(Path("no") / "python"))
+    with pytest.raises(MedColorError, match="cannot be run"):
+        peak_memory.peak_of(4, 16)
