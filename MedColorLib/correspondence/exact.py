@@ -64,7 +64,8 @@ def _search_one(
     target: Tensor, reference: Tensor, radius: int, target_mask: Tensor, reference_mask: Tensor, both: bool
 ):
     (h, w), (h2, w2) = target.shape[1:], reference.shape[1:]
-    excluded = ~reference_mask.reshape(-1)
+    # Added, since writing into some columns takes longer than the search: 0 where a match may lie.
+    penalty = torch.where(reference_mask.reshape(-1), 0.0, _EXCLUDED)
     step = h if target.device.type != "cpu" else max(1, _BLOCK_ENTRIES // (w * h2 * w2))
     forward = []
     best = torch.full((h2 * w2,), -torch.inf, device=target.device)
@@ -72,7 +73,7 @@ def _search_one(
     for first in range(0, h, step):
         rows = first, min(first + step, h)
         block = similarity_volume(target, reference, radius, rows)
-        block[:, excluded] = _EXCLUDED
+        block += penalty
         forward.append(block.max(dim=1))
         if both:
             # lower still: positions whose column is excluded take an allowed row, too
@@ -81,6 +82,10 @@ def _search_one(
             better = values > best
             best = torch.where(better, values, best)
             position = torch.where(better, inside + first * w, position)
+    if both:  # positions where no match may lie take the first allowed row: what is warped there looks like nothing
+        first_row = target_mask.reshape(-1).to(torch.uint8).argmax()
+        position = torch.where(penalty < 0, first_row, position)
+        best = torch.where(penalty < 0, _EXCLUDED, best)
     field = torch.cat([m.indices for m in forward]).view(h, w)
     similarity = torch.cat([m.values for m in forward]).view(h, w)
     return field, similarity, *((position.view(h2, w2), best.view(h2, w2)) if both else (None, None))
