@@ -27,7 +27,17 @@ HEAVY = (
     "distributed",
 )
 HOSTS = {"slicer", "qt", "ctk", "vtkSlicer", "mrml", "PySide6", "MedColor", "MedColorSlicer"}
-ENDS = {"", "cli", "cli_options", "pipeline", "batch", "demo", "estimate", "bench", "__main__"}  # they use the stages; no stage uses them
+ENDS = {
+    "",
+    "cli",
+    "cli_options",
+    "pipeline",
+    "batch",
+    "demo",
+    "estimate",
+    "bench",
+    "__main__",
+}  # they use the stages; no stage uses them
 
 
 def module_of(path: Path) -> str:
