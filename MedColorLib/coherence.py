@@ -63,9 +63,7 @@ class SliceAverage:
         self._next = 0
 
     def push(self, k: int, values: np.ndarray, guide: np.ndarray | None = None) -> Iterator[tuple[int, np.ndarray]]:
-        """Add slice `k`; yields (slice, weighted sum over its neighbours) for each slice that is complete now.
-
-        With guides the weighted mean is yielded instead.
+        """Add slice `k`; yields (slice, weighted mean over its neighbours) for each slice that is complete now.
 
         Args:
             guide: (H, W) 0..255 of `values` (H, W, C): a neighbour's pixel counts less the more its grey differs, as along
@@ -86,14 +84,14 @@ class SliceAverage:
 
     def _average(self, due: int) -> np.ndarray:
         total = weights = 0.0
-        for k, values in self._waiting.items():
+        for k in sorted(self._waiting):
             if abs(k - due) > self._reach:
                 continue
             weight = float(np.exp(-0.5 * ((k - due) / self._sigma) ** 2)) if k != due else 1.0  # keeps float32
             if self._guides[due] is not None:
                 weight = weight * np.exp(np.abs(self._guides[k] - self._guides[due]) / -GUIDE_SIGMA)[..., None]
-            total, weights = total + weight * values, weights + weight
-        return total if self._guides[due] is None else total / weights
+            total, weights = total + weight * self._waiting[k], weights + weight
+        return total / weights
 
     def _forget(self) -> None:
         if self._next < len(self._slices):

@@ -11,6 +11,7 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -24,6 +25,7 @@ from MedColorLib.batch import Found, color_file, find_volumes, make_tasks
 from MedColorLib.batch_workers import WorkerLost, run_here, run_on_cluster, run_processes
 from MedColorLib.cli import main
 from MedColorLib.errors import DeviceError, InputError, MissingPackageError, OutputError, SettingsError
+from MedColorLib.parameters import PRESETS
 from MedColorLib.volume_io import _READERS, input_sha256
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -381,6 +383,8 @@ class TestKilledInTheMiddle:
 
     @pytest.fixture(autouse=True)
     def one_by_one(self, monkeypatch):
+        # `small_raster` of the classes above lasts for the file, and other processes do not know it
+        monkeypatch.setitem(PRESETS, "draft", replace(PRESETS["draft"], grid_px=160))
         self.settings = Settings(preset="draft", features="embedded", device="cpu", batch=1)
 
     def test_a_worker_of_the_pool(self, cohort, killer, caplog):

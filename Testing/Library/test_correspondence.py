@@ -335,7 +335,9 @@ class TestBlocks:
 
     def test_half_products_agree_within_their_digits(self):
         generator = torch.Generator().manual_seed(4)
-        sides = [torch.nn.functional.normalize(torch.randn(1, 64, 12, 12, generator=generator), dim=1) for _ in range(2)]
+        sides = [
+            torch.nn.functional.normalize(torch.randn(1, 64, 12, 12, generator=generator), dim=1) for _ in range(2)
+        ]
         masks = torch.ones(1, 12, 12, dtype=torch.bool), torch.ones(12, 12, dtype=torch.bool)
         _, precise, _, _ = exact.search(*sides, 1, *masks, False)
         _, halved, _, _ = exact.search(*(side.bfloat16() for side in sides), 1, *masks, False)

@@ -323,7 +323,7 @@ class TestReport:
 class TestCoherence:
     @pytest.mark.parametrize("sigma_mm", [0, 0.4, 1, 2.5, 100])
     @pytest.mark.parametrize("slices", [(0,), (3, 4, 5, 6, 7, 8), (0, 1, 5, 6, 30), (2, 9)])
-    def test_gaussian_sum_over_the_neighbours_in_reach(self, slices, sigma_mm):
+    def test_gaussian_mean_over_the_neighbours_in_reach(self, slices, sigma_mm):
         average, got = SliceAverage(slices, 0.8, sigma_mm), {}
         values = {k: np.array([1.0, k, k * k]) for k in slices}
         for k in slices:
@@ -335,7 +335,8 @@ class TestCoherence:
             sigma = min(sigma_mm / 0.8, MOST_SLICES)
             near = [n for n in slices if n == k or abs(n - k) <= 2 * sigma]
             weights = [1 if n == k else np.exp(-0.5 * ((n - k) / sigma) ** 2) for n in near]
-            np.testing.assert_allclose(got[k], sum(w * values[n] for w, n in zip(weights, near)))
+            expected = sum(w * values[n] for w, n in zip(weights, near)) / sum(weights)
+            np.testing.assert_allclose(got[k], expected)
 
     def test_mean_over_pixels_of_like_grey(self, rng):
         """With guides: the weighted mean of every pixel over its neighbours along the stack, by its own words."""
