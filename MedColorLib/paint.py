@@ -70,8 +70,7 @@ class Painter:
 
     def _gather(self, k: int, match: SliceMatch) -> None:
         """Add a slice's evidence to what is known of colour and grey; slices whose neighbours are all in are coloured."""
-        for ready, (total, count) in self._means.push(k, np.array([match.trust.mean, 1.0])):
-            self._mean[ready] = total / count
+        self._mean.update(self._means.push(k, np.float64(match.trust.mean)))
         streams = [evidence.push(k, own) for evidence, own in zip(self._evidence.values(), self._by_group(k, match))]
         for ready in zip_longest(*streams):  # all have the same slices ready; zip would leave the last ones unfinished
             self._color(*ready)

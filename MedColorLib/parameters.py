@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, fields, replace
 from .errors import SettingsError
 
 FEATURES = ("auto", "vgg19", "gray-vgg19", "embedded")
+AVERAGING = ("fgs", "domain-transform", "wls")  # weights of one sign: S(w d) / S(w) stays between the values of d
 SMOOTHERS = ("auto", "regression", "fgs", "guided", "domain-transform", "wls")
 LUMINANCE = ("keep", "paper")
 RECONSTRUCTIONS = ("warp", "lbfgs")
@@ -119,9 +120,7 @@ class Settings:
     def weighs_matches(self) -> bool:
         """Whether matches count by their confidence, and slices share their evidence."""
         smoother = self.resolved_smoother
-        return smoother == "regression" or (
-            PRESETS[self.preset].weighted and smoother in ("fgs", "domain-transform", "wls")
-        )
+        return smoother == "regression" or (PRESETS[self.preset].weighted and smoother in AVERAGING)
 
     @property
     def resolved_gamma(self) -> bool:

@@ -24,11 +24,11 @@ from .color.lab import gray_to_lightness, lab_to_srgb, lightness_to_gray, srgb_t
 from .filters import FILTERS, FgsParameters, regression, smoother_parameters
 from .grid import MARGIN, from_grid
 from .intensity import apply_curve
+from .parameters import AVERAGING
 
 if TYPE_CHECKING:
     from .confidence import Trust
 
-AVERAGING = ("fgs", "domain-transform", "wls")  # weights of one sign: S(w d) / S(w) stays between the values of d
 REMAINDER = FgsParameters(
     lam=4.0, sigma=30.0
 )  # beside the regression, on half the grid; within 4 % from sigma 10 to 200

@@ -76,7 +76,6 @@ def _search_one(
         block += penalty
         forward.append(block.max(dim=1))
         if both:
-            # lower still: positions whose column is excluded take an allowed row, too
             block[~target_mask[slice(*rows)].reshape(-1)] = 2 * _EXCLUDED
             values, inside = _best_rows(block)
             better = values > best
