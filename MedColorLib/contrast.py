@@ -91,12 +91,10 @@ def coarse_luminance(greys, masks, reference_grey, reference_mask) -> np.ndarray
     import torch
 
     from .correspondence.field import average_vote
-    from .vote import to_full_grid
 
     match = coarse_match(greys, masks, reference_grey, reference_mask, position_weight=2.0)
-    field = to_full_grid(match.field, match.layer, reference_grey.shape)
     planes = torch.from_numpy(reference_grey.astype(np.float32))[None, None]
-    return average_vote(planes, field)[:, 0].numpy()
+    return average_vote(planes, match.field, scale=2 ** (match.layer - 1))[:, 0].numpy()
 
 
 def regression_curve(grey: np.ndarray, seen: np.ndarray, bins: int = 32) -> np.ndarray:

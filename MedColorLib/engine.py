@@ -12,6 +12,7 @@ import numpy as np
 from .assignment import assign
 from .blending import blended, neighbours
 from .features import CONTEXT_WEIGHTS, unit_descriptors
+from .features.components import PROJECTED_LAYERS, kept_energy, principal_components, project
 from .features.kept import reference_features
 from .grid import Grid
 from .guard import colors_on_grid
@@ -60,9 +61,15 @@ class ReferenceOnGrid:
 
 @dataclass(frozen=True)
 class ReferenceFeatures:
-    """What matching needs of a reference, on the device: features by layer, grey (1, 1, H, W), mask (H, W)."""
+    """What matching needs of a reference, on the device.
+
+    Attributes:
+        layers: features by layer, as components where `bases` has the layer; see `features.components`.
+        luminance: (1, 1, H, W) grey. mask: (H, W).
+    """
 
     layers: dict
+    bases: dict
     luminance: Tensor
     mask: Tensor
 
@@ -126,6 +133,7 @@ class Engine:
         self.settings, self.grid, self.device = prepared.settings, prepared.grid, prepared.plan.device
         preset = PRESETS[self.settings.preset]
         self.stop_layer, self.uses_context = preset.stop_layer, preset.context
+        self.components = self.settings.components
         self.layers = tuple(range(5, self.stop_layer - 1, -1))
         self.extractor = make_extractor(prepared.plan.features, self.device)
         self.reconstruct = make_reconstruction(self.settings.reconstruction, self.extractor)
@@ -134,6 +142,7 @@ class Engine:
         self.unmatched: dict[int, float] = {}
         self._features: dict[int, ReferenceFeatures] = {}
         self.kept: dict[int, bool] = {}
+        self.energy: dict[int, dict[int, float]] = {}  # reference -> layer -> share of the features in their components
         with run.timed("orientation"):
             self._turn_references()
         self.choice = self._choose_references()
@@ -167,12 +176,19 @@ class Engine:
             reference = self.references[index]
             luminance = torch.from_numpy(reference.grey)[None, None].to(self.device)
             layers, self.kept[index] = reference_features(self.extractor, luminance, self.layers)
-            self._features[index] = ReferenceFeatures(
-                layers,
-                luminance,
-                torch.from_numpy(reference.mask).to(self.device),
-            )
+            bases = self._bases(layers)
+            self.energy[index] = {layer: kept_energy(layers[layer], basis) for layer, basis in bases.items()}
+            layers = {layer: project(values, bases.get(layer)) for layer, values in layers.items()}
+            mask = torch.from_numpy(reference.mask).to(self.device)
+            self._features[index] = ReferenceFeatures(layers, bases, luminance, mask)
         return self._features[index]
+
+    def _bases(self, layers: dict) -> dict:
+        """Layer -> basis on which its features are compared, for layers that have more channels."""
+        if self.components is None:
+            return {}
+        wanted = [n for n in layers if n in PROJECTED_LAYERS and layers[n].shape[1] > self.components]
+        return {layer: principal_components(layers[layer], self.components) for layer in wanted}
 
     def painted_in_box(self, k: int) -> np.ndarray:
         """(rows, cols) bool: where slice k is coloured, cut to the body's box."""
@@ -260,6 +276,7 @@ class Engine:
         luminance = torch.from_numpy(matched)[:, None].to(self.device)
         with self.run.timed("features"):
             features = self.extractor.extract(luminance, self.layers)
+            features = {layer: project(values, own.bases.get(layer)) for layer, values in features.items()}
         context = None
         if self.uses_context:
             position, grey = CONTEXT_WEIGHTS[self.extractor.name]

@@ -26,6 +26,9 @@ class Preset:
         gamma: what `gamma=None` means. The paper's gamma ties chroma to the slice's own luminance: better where that is
             the photograph's, worse where contrast differs between the modalities (see the benchmark).
         weighted: whether matches count by how far they can be trusted (they do not in the paper).
+        components: principal components of the reference on which features of layers 4 and finer are compared; None
+            compares whole features, as in the paper. Mean CIEDE2000 on 15 pairs: 1.906 with whole features, 1.903 with
+            128, 1.901 with 96, 1.904 with 64, 1.932 with 32.
     """
 
     grid_px: int
@@ -34,12 +37,13 @@ class Preset:
     context: bool
     gamma: bool
     weighted: bool
+    components: int | None
 
 
 PRESETS = {
-    "draft": Preset(grid_px=160, stop_layer=3, smoother="regression", context=True, gamma=False, weighted=True),
-    "balanced": Preset(grid_px=256, stop_layer=3, smoother="regression", context=True, gamma=False, weighted=True),
-    "full": Preset(grid_px=256, stop_layer=1, smoother="fgs", context=False, gamma=True, weighted=False),
+    "draft": Preset(160, 3, "regression", context=True, gamma=False, weighted=True, components=96),
+    "balanced": Preset(256, 3, "regression", context=True, gamma=False, weighted=True, components=96),
+    "full": Preset(256, 1, "fgs", context=False, gamma=True, weighted=False, components=None),
 }
 
 
@@ -121,6 +125,11 @@ class Settings:
         """Whether matches count by their confidence, and slices share their evidence."""
         smoother = self.resolved_smoother
         return smoother == "regression" or (PRESETS[self.preset].weighted and smoother in AVERAGING)
+
+    @property
+    def components(self) -> int | None:
+        """On how many principal components features are compared; None: on all, as the deconvolution needs them."""
+        return PRESETS[self.preset].components if self.reconstruction == "warp" else None
 
     @property
     def resolved_gamma(self) -> bool:

@@ -211,6 +211,10 @@ def _report(prepared: Prepared, engine: Engine, run: Run, painter: Painter) -> d
         "blended_slices": {str(k): [prepared.references[n.index].name, n.share] for k, n in engine.neighbours.items()},
         "reference_lies": {engine.references[i].name: engine.references[i].way for i in used},
         "reference_features": {engine.references[i].name: "read" if engine.kept.get(i) else "made" for i in used},
+        "components": {
+            engine.references[i].name: {str(n): round(share, 4) for n, share in engine.energy.get(i, {}).items()}
+            for i in used
+        },
         "contrast": {engine.references[i].name: engine.references[i].contrast.describe() for i in used},
         "settings": prepared.settings.to_dict(),
         "plan": prepared.plan.to_dict(),

@@ -219,6 +219,15 @@ def _left_out(settings, preset, smoother, features, view, body, chosen, referenc
         )
     if not (settings.weighs_matches or settings.confidence):
         entries.append(LeftOut("reverse map of the last layer", "nothing reads it", "one of two searches"))
+    if settings.components and features != "embedded":
+        entries.append(
+            LeftOut(
+                f"all but {settings.components} components of the features of layers 4 and finer",
+                "the photograph's features hardly have the others",
+                "two thirds to four fifths of each product",
+                "none on the mean of the benchmark's 15 pairs, at most 0.08 CIEDE2000 on one",
+            )
+        )
     if settings.reconstruction == "warp" and features != "embedded":
         entries.append(
             LeftOut(

@@ -118,7 +118,7 @@ def transfer_lab(grey: np.ndarray, mask: np.ndarray, match: SliceMatch, paramete
         return combine(grey, mask, relation, rest, parameters, match.within)
     if match.trust is not None and parameters.smoother in AVERAGING:
         return combine(grey, mask, None, remainder(match, None, parameters), parameters)
-    difference = _difference(match.lab, match.grey, parameters)[..., parameters.first_channel :]
+    difference = _difference(match.lab, match.grey, parameters, parameters.first_channel)
     return _out_of_transfer(grey, mask, _smoothed(from_grid(difference, grey.shape), grey, parameters), parameters)
 
 
@@ -132,14 +132,14 @@ def relation_sums(match: SliceMatch, parameters: TransferParameters) -> np.ndarr
     sums = _witnesses(match, match.grey, parameters)
     own = 0.0 if match.trust is None else match.trust.own_relation_weight
     if own > 0:
-        seen = np.clip(lightness_to_gray(match.lab[..., 0].astype(np.float64)), 0, 1)
+        seen = np.clip(lightness_to_gray(match.lab[..., 0]), 0, 1)
         sums += own * _witnesses(match, apply_curve(seen, match.trust.inverse_curve), parameters)
     return sums
 
 
 def _witnesses(match: SliceMatch, grey: np.ndarray, parameters: TransferParameters) -> np.ndarray:
-    chroma = _difference(match.lab, grey, parameters)[..., 1:][_INNER]
-    guide = 255 * _spread(grey, parameters)[_INNER]
+    chroma = _difference(match.lab[_INNER], grey[_INNER], parameters, 1)
+    guide = 255 * _spread(grey[_INNER], parameters)
     return regression.splat(chroma, guide, match.weight[_INNER], parameters.own, match.within)
 
 
@@ -156,9 +156,9 @@ def remainder(match: SliceMatch, relation: np.ndarray | None, parameters: Transf
     Args:
         relation: of `solve_relation`, for X; None takes the grey slice.
     """
-    rest = _difference(match.lab, match.grey, parameters)[..., parameters.first_channel :]
+    rest = _difference(match.lab, match.grey, parameters, parameters.first_channel)
     if relation is not None:
-        guess = regression.predict(relation, 255 * _spread(match.grey, parameters)[_INNER], match.within)
+        guess = regression.predict(relation, 255 * _spread(match.grey[_INNER], parameters), match.within)
         rest[_INNER][..., -2:] -= guess
     weight = match.weight[..., None]
     return _halved(np.concatenate([rest * weight, weight], -1))
@@ -234,13 +234,15 @@ def _lightness(grey: np.ndarray, parameters: TransferParameters) -> np.ndarray:
     return gray_to_lightness(gamma_encode(grey.astype(np.float64), _GAMMA if parameters.gamma else 1.0))
 
 
-def _difference(matched: np.ndarray, grid_grey: np.ndarray, parameters: TransferParameters) -> np.ndarray:
-    """T' - T_Lab on the grid, L* a* b* (the scan's a* and b* are 0), in the space of the transfer."""
-    lab = matched.astype(np.float64)
+def _difference(matched: np.ndarray, grid_grey: np.ndarray, parameters: TransferParameters, first: int) -> np.ndarray:
+    """T' - T_Lab on the grid, L* a* b* from channel `first` on (the scan's a* and b* are 0), in the space of the transfer."""
+    lab = matched
     if parameters.gamma:
-        lab = srgb_to_lab(gamma_encode(np.clip(lab_to_srgb(lab), 0, 1), _GAMMA))
-    lab[..., 0] -= _lightness(grid_grey, parameters)
-    return lab
+        lab = srgb_to_lab(gamma_encode(np.clip(lab_to_srgb(lab.astype(np.float64)), 0, 1), _GAMMA))
+    rest = lab[..., first:].copy()
+    if first == 0:
+        rest[..., 0] -= _lightness(grid_grey, parameters)
+    return rest
 
 
 def _out_of_transfer(

@@ -4,15 +4,7 @@ from __future__ import annotations
 
 from torch import Tensor
 
-from .correspondence.field import average_vote, group_vote, upsample
-
-
-def to_full_grid(field: Tensor, layer: int, reference_shape: tuple[int, int]) -> Tensor:
-    """Upsample a field (N, h, w) of `layer` to layer 1; `reference_shape` is (H, W) of the reference on the grid."""
-    for finer in range(layer - 1, 0, -1):
-        shape = tuple(-(-side // 2 ** (finer - 1)) for side in reference_shape)
-        field = upsample(field, shape, -(-reference_shape[1] // 2**finer))
-    return field
+from .correspondence.field import average_vote, group_vote
 
 
 def matched_colors(field: Tensor, layer: int, reference: Tensor) -> Tensor:
@@ -24,7 +16,7 @@ def matched_colors(field: Tensor, layer: int, reference: Tensor) -> Tensor:
     Returns:
         (N, C, H, W).
     """
-    return average_vote(reference, to_full_grid(field, layer, tuple(reference.shape[2:])), radius=2)
+    return average_vote(reference, field, radius=2, scale=2 ** (layer - 1))
 
 
 def matched_within_groups(
@@ -39,5 +31,4 @@ def matched_within_groups(
     Returns:
         (N, C, H, W), 0 where no vote counts; (N, H, W) bool, where at least one does.
     """
-    full = to_full_grid(field, layer, tuple(reference.shape[2:]))
-    return group_vote(reference, full, groups, reference_groups, radius=2)
+    return group_vote(reference, field, groups, reference_groups, radius=2, scale=2 ** (layer - 1))

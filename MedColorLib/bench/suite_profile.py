@@ -42,7 +42,7 @@ NOTES = [
     "the stages inside it. share: of the stages that are done for every slice; those done once a volume have none.",
     "prepare holds finding body and window, and the photograph's tissue; network and contrast: the weights, the photograph's "
     "orientation and features, the learned contrast. descent: a layer's own features blended with those matched above. rest of "
-    "matching: unit vectors, context, trust, and bringing the slice to the raster.",
+    "matching: components of the features, unit vectors, context, trust, and bringing the slice to the raster.",
     f"operations and bytes_moved are counted from the shapes. {work.formulas()}",
     "share_of_limit: the least time by the measured rates of this machine (the larger of operations / matrix product and "
     "bytes / copy) over the time taken; small arrays stay in the cache, where moving is faster than the copy measured.",
@@ -109,8 +109,8 @@ def _one_lap(prepared: Prepared, engine: Engine) -> dict[str, float]:
     watch = Stopwatch()
     places = (
         (engine.extractor, "extract", "features"),
-        (exact, "_diagonal_box_sum", "box sum"),
-        (exact, "similarity_volume", "similarity product"),
+        (exact.PatchSums, "_summed", "box sum"),
+        (exact.PatchSums, "_multiply", "similarity product"),
         (exact, "search", "argmax"),
         (analogy, "_descend", "descent"),
         (vote, "matched_colors", "vote"),

@@ -7,9 +7,9 @@ r the patch radius, G pixels of the raster, and N pixels of the slice:
 | --- | --- | --- |
 | features, VGG-19 | 18 Cin Cout h w a convolution | each convolution's input, output and kernel, once |
 | features, embedded | 136 a pixel and descriptor | 448 a pixel and descriptor |
-| similarity product | 2 C P^2 | 8 C P, and three times 4 P^2 (written, divided) |
+| similarity product | 2 C P^2 | 8 C P, and three times 4 P^2 (written, turned into float32) |
 | box sum | 4 r P^2 | two axes: a copy (8 P^2) and 2 r sums in place (12 P^2 each) |
-| argmax | 2 P^2 comparisons, both directions | four passes of 4 P^2 (two masks, two maxima) |
+| argmax | 2 P^2 comparisons, both directions | four passes of 4 P^2 (two maxima, a mask read and written) |
 | colour | 96 G sums, 32 G + 32 N reading, 36 G smoothing, 60 N conversion | 1152 G + 144 N |
 | prepare, writing | not counted | the arrays read, once |
 """

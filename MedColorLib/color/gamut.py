@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..errors import InputError, SettingsError
-from .lab import _namespace, lab_to_srgb
+from .lab import _namespace, lab_to_linear, lab_to_srgb, linear_to_srgb, srgb_to_linear
 
 if TYPE_CHECKING:
     from .lab import Array
@@ -27,23 +27,23 @@ def _require_usable(lab: Array) -> None:
         raise InputError(f"L*a*b*: {bad} of {size} values are NaN, infinite or beyond {_LARGEST:g}; replace them first")
 
 
-def _outside(srgb: Array) -> Array:
-    """Whether any component of (..., 3) lies more than half a level outside 0..1."""
-    return ((srgb < -HALF_LEVEL) | (srgb > 1.0 + HALF_LEVEL)).any(-1)
+_LINEAR_LOW, _LINEAR_HIGH = srgb_to_linear(np.array([-HALF_LEVEL, 1.0 + HALF_LEVEL]))
+
+
+def _outside(linear: Array) -> Array:
+    """Whether any component of linear RGB (..., 3) is, as sRGB, more than half a level outside 0..1."""
+    return ((linear < float(_LINEAR_LOW)) | (linear > float(_LINEAR_HIGH))).any(-1)
 
 
 def _reduced_chroma(lab: Array) -> Array:
     """sRGB floats (M, 3) of the largest share of each colour's chroma that fits the gamut; L* and hue stay."""
     xp = _namespace(lab)
     low, high = lab[:, :1] * 0.0, lab[:, :1] * 0.0 + 1.0
-    best = lab_to_srgb(xp.concatenate([lab[:, :1], lab[:, 1:] * low], -1))
     for _ in range(_HALVINGS):
         share = 0.5 * (low + high)
-        srgb = lab_to_srgb(xp.concatenate([lab[:, :1], lab[:, 1:] * share], -1))
-        outside = _outside(srgb)[:, None]
-        best = xp.where(outside, best, srgb)
+        outside = _outside(lab_to_linear(xp.concatenate([lab[:, :1], lab[:, 1:] * share], -1)))[:, None]
         low, high = xp.where(outside, low, share), xp.where(outside, share, high)
-    return best
+    return lab_to_srgb(xp.concatenate([lab[:, :1], lab[:, 1:] * low], -1))
 
 
 def lab_to_srgb_in_gamut(lab: Array) -> tuple[Array, int]:
@@ -64,10 +64,11 @@ def lab_to_srgb_in_gamut(lab: Array) -> tuple[Array, int]:
     """
     xp = _namespace(lab)
     _require_usable(lab)
-    srgb = lab_to_srgb(lab)
-    flat, wanted = srgb.reshape(-1, 3), lab.reshape(-1, 3)
+    wanted = lab.reshape(-1, 3)
+    linear = lab_to_linear(wanted)
+    flat = linear_to_srgb(linear)
     black = wanted[:, 0] <= 0.0
-    outside = _outside(flat) | (black & (flat > HALF_LEVEL).any(-1))
+    outside = _outside(linear) | (black & (flat > HALF_LEVEL).any(-1))
     changed = int(outside.sum())
     if changed:
         outside &= ~black  # black needs no search

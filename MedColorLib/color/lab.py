@@ -145,7 +145,12 @@ def srgb_to_lab(srgb: Array) -> Array:
 
 def lab_to_srgb(lab: Array) -> Array:
     """L*a*b* (..., 3) to sRGB floats, not limited to 0..1; for pictures see `gamut.lab_to_srgb_in_gamut`."""
-    return linear_to_srgb(xyz_to_linear(lab_to_xyz(lab)))
+    return linear_to_srgb(lab_to_linear(lab))
+
+
+def lab_to_linear(lab: Array) -> Array:
+    """L*a*b* (..., 3) to linear RGB, not limited to the gamut."""
+    return xyz_to_linear(lab_to_xyz(lab))
 
 
 def gray_to_lightness(gray: Array) -> Array:

@@ -77,9 +77,12 @@ def predict(model: np.ndarray, guide: np.ndarray, within: tuple[float, float, fl
     axes = zip(_positions(guide.shape, model.shape[:2], within), model.shape[:2])
     y, x = (torch.from_numpy(at * (2 / (count - 1)) - 1).float() for at, count in axes)
     z = torch.from_numpy(np.clip(guide, 0, 255).astype(np.float32)) * (2 / 255) - 1
-    where = torch.stack([x.view(1, -1).expand(guide.shape), y.view(-1, 1).expand(guide.shape), z], -1)[None, None]
-    out = torch.nn.functional.grid_sample(volume, where, mode="bilinear", padding_mode="border", align_corners=True)
-    return out[0, :, 0].permute(1, 2, 0).numpy()
+    where = torch.stack([x.view(1, -1).expand(guide.shape), y.view(-1, 1).expand(guide.shape), z], -1).view(-1, 3)
+    parts = torch.get_num_threads()  # grid_sample gives every thread whole samples: one picture would take one thread
+    where = torch.nn.functional.pad(where, (0, 0, 0, -len(where) % parts)).view(parts, 1, 1, -1, 3)
+    volumes = volume.expand(parts, -1, -1, -1, -1)
+    out = torch.nn.functional.grid_sample(volumes, where, mode="bilinear", padding_mode="border", align_corners=True)
+    return out.movedim(1, -1).reshape(-1, volume.shape[1])[: guide.size].reshape(*guide.shape, -1).numpy()
 
 
 def splat(
@@ -106,21 +109,33 @@ def splat(
             f"smoother_options: cell_px {parameters.cell_px:g} with {bins} bins asks for {rows * cols * bins} cells, at "
             f"most {MOST_CELLS} are taken; choose larger cells or fewer bins"
         )
-    y, x = _positions(guide.shape, (rows, cols), within)
-    keep = weight.ravel() > 0
-    y, x = np.repeat(y, len(x))[keep], np.tile(x, len(y))[keep]
-    z = np.clip(guide, 0, 255).ravel()[keep].astype(np.float64) * ((bins - 1) / 255)
-    values = np.concatenate([source.reshape(-1, channels), np.ones((guide.size, 1))], 1)[keep]
-    values = values * weight.ravel()[keep, None]
-    sums = np.zeros((rows * cols * bins, channels + 1))
-    for dy, wy in _corners(y, rows):
-        for dx, wx in _corners(x, cols):
-            for dz, wz in _corners(z, bins):
-                index = (dy * cols + dx) * bins + dz
-                share = wy * wx * wz
-                for c in range(channels + 1):
-                    sums[:, c] += np.bincount(index, values[:, c] * share, minlength=len(sums))
-    return sums.reshape(rows, cols, bins, channels + 1).astype(np.float32)
+    keep = np.nonzero(weight > 0)
+    y, x = (at[of] for at, of in zip(_positions(guide.shape, (rows, cols), within), keep))
+    z = np.clip(guide[keep], 0, 255).astype(np.float64) * ((bins - 1) / 255)
+    trust = weight[keep].astype(np.float64)
+    values = np.concatenate([source[keep] * trust[:, None], trust[:, None]], 1)
+    cells = _spreading(((y, rows), (x, cols), (z, bins)))
+    return (cells @ values).reshape(rows, cols, bins, channels + 1).astype(np.float32)
+
+
+def _spreading(positions):
+    """Sparse (cells, points): how much of each point goes to which cell.
+
+    Args:
+        positions: for every axis of the cells, where the points lie (n,) and the number of cells.
+    """
+    from scipy.sparse import csc_array
+
+    index, share = np.zeros((1, 1), np.int32), np.ones((1, 1))
+    for at, size in positions:
+        low, fraction = _corner(at, size)
+        nearest = np.stack([low, low + 1], 1).astype(np.int32)
+        index = (index[:, :, None] * size + nearest[:, None]).reshape(len(at), 2 * index.shape[1])
+        share = (share[:, :, None] * np.stack([1 - fraction, fraction], 1)[:, None]).reshape(index.shape)
+    points, corners = share.shape
+    starts = np.arange(0, points * corners + 1, corners, dtype=np.int32)
+    cells = int(np.prod([size for _, size in positions]))
+    return csc_array((share.ravel(), index.ravel(), starts), shape=(cells, points))
 
 
 def _positions(shape, count, within) -> tuple[np.ndarray, np.ndarray]:
@@ -132,10 +147,10 @@ def _positions(shape, count, within) -> tuple[np.ndarray, np.ndarray]:
     )
 
 
-def _corners(position: np.ndarray, size: int):
+def _corner(position: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
+    """The cell below each position, and how far beyond it the position lies, 0..1."""
     low = np.minimum(position.astype(np.int64), size - 2)
-    fraction = position - low
-    return (low, 1 - fraction), (low + 1, fraction)
+    return low, position - low
 
 
 def _blur(sums: np.ndarray) -> np.ndarray:
@@ -149,8 +164,6 @@ def _blur(sums: np.ndarray) -> np.ndarray:
 
 def _shrink(sums: np.ndarray, support: float, levels: int) -> np.ndarray:
     """Mean colour per cell, drawn towards coarser cells, then the slice's curve, then its mean, where support is thin."""
-    from scipy.ndimage import zoom
-
     overall = sums.sum((0, 1, 2))
     mean = overall[:-1] / max(overall[-1], 1e-300)
     curve = sums.sum((0, 1))
@@ -163,10 +176,19 @@ def _shrink(sums: np.ndarray, support: float, levels: int) -> np.ndarray:
     estimate = np.broadcast_to(curve, (*pyramid[-1].shape[:3], curve.shape[1]))
     for level in reversed(pyramid):
         if estimate.shape[:2] != level.shape[:2]:
-            factors = (level.shape[0] / estimate.shape[0], level.shape[1] / estimate.shape[1], 1, 1)
-            estimate = zoom(estimate, factors, order=1, mode="nearest", grid_mode=True)
+            down, across = (_between(n, coarse) for n, coarse in zip(level.shape, estimate.shape[:2]))
+            estimate = np.einsum("rp,cq,pqbk->rcbk", down, across, estimate, optimize=True)
         estimate = (level[..., :-1] + support * estimate) / (level[..., -1:] + support)
     return estimate
+
+
+def _between(count: int, coarse_count: int) -> np.ndarray:
+    """(count, coarse_count) weights of linear interpolation from cells that divide the same length more coarsely."""
+    at = np.clip((np.arange(count) + 0.5) * (coarse_count / count) - 0.5, 0, coarse_count - 1)
+    weights = np.zeros((count, coarse_count))
+    low, fraction = _corner(at, coarse_count)
+    weights[np.arange(count), low], weights[np.arange(count), low + 1] = 1 - fraction, fraction
+    return weights
 
 
 def _halved(sums: np.ndarray) -> np.ndarray:

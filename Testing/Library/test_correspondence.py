@@ -10,7 +10,7 @@ import torch
 from MedColorLib.correspondence import exact, patchmatch, windowed
 from MedColorLib.correspondence.field import average_vote, identity, upsample, warp
 from MedColorLib.correspondence.patchmatch import patch_similarity
-from MedColorLib.vote import matched_colors, to_full_grid
+from MedColorLib.vote import matched_colors
 
 
 def features(count, height, width, channels=5, seed=0):
@@ -173,13 +173,32 @@ class TestVote:
         reference = torch.rand(1, 3, 48, 64)
         side = 2 ** (layer - 1)
         field = identity(2, 48 // side, 64 // side)
-        torch.testing.assert_close(to_full_grid(field, layer, (48, 64)), identity(2, 48, 64).contiguous())
         torch.testing.assert_close(matched_colors(field, layer, reference), reference.expand(2, -1, -1, -1))
 
     def test_patches_of_five_by_five_vote(self):
         reference, field = torch.rand(1, 3, 16, 16), random_field(1, (8, 8), (8, 8))
-        full = to_full_grid(field, 2, (16, 16))
+        full = upsample(field, (16, 16), 8)
         torch.testing.assert_close(matched_colors(field, 2, reference), average_vote(reference, full, radius=2))
+
+    @pytest.mark.parametrize("radius", [0, 1, 2, 3])
+    @pytest.mark.parametrize("layer", [1, 2, 3, 4])
+    @pytest.mark.parametrize("references", [1, 2])
+    def test_a_coarse_field_votes_like_its_upsampled_self(self, layer, radius, references):
+        """Blocks read once and counted as often as they occur: the same as every vote by itself."""
+        scale = 2 ** (layer - 1)
+        shape, shape2 = (3, 5), (4, 2)
+        field = full = random_field(2, shape, shape2, seed=layer)
+        for doubling in range(layer - 1):
+            full = upsample(full, tuple(side * 2 ** (doubling + 1) for side in shape2), shape2[1] * 2**doubling)
+        values = torch.rand(references, 3, shape2[0] * scale, shape2[1] * scale)
+        torch.testing.assert_close(average_vote(values, field, radius, scale), average_vote(values, full, radius))
+
+    def test_a_reference_that_ends_inside_a_block(self):
+        """Positions beyond it give no vote."""
+        values, field = torch.rand(1, 1, 3, 3), torch.full((1, 1, 1), 3)
+        torch.testing.assert_close(
+            average_vote(values, field, 0, 2)[0, 0], values[0, 0, 2, 2] * torch.tensor([[1.0, 0], [0, 0]])
+        )
 
 
 def patchmatch_search(target, reference, field, mask, radius):

@@ -387,8 +387,8 @@ class TestParts:
     def test_without_any_vote_the_mean_color_of_the_own_group(self, scene, monkeypatch):
         """As if no match of the insert led to the insert: its own colour all the same, trusted by nobody."""
 
-        def none_for_the_insert(values, field, groups, other_groups, radius):
-            mean, voted = group_vote(values, field, groups, other_groups, radius)
+        def none_for_the_insert(values, field, groups, *rest, **options):
+            mean, voted = group_vote(values, field, groups, *rest, **options)
             voted &= groups != 2  # the third group
             return mean * voted[:, None], voted
 

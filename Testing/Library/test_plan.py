@@ -112,6 +112,7 @@ class TestText:
     def test_vgg19(self, ct, shared_weights, monkeypatch):
         monkeypatch.setenv("MEDCOLOR_WEIGHTS", str(shared_weights))
         plan = make_plan(ct.volume, [ct.reference], settings(features="auto"))
+        assert any("all but 96 components" in entry.what for entry in plan.left_out)
         assert plan.features == "vgg19" and "VGG-19 (auto)" in plan.steps["features"]
         assert entry(plan, "L-BFGS deconvolution") and "411 MB" in entry(plan, "recommendation (fc6)").saving
         lbfgs = make_plan(ct.volume, [ct.reference], settings(features="vgg19", reconstruction="lbfgs"))
