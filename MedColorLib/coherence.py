@@ -66,10 +66,12 @@ class SliceAverage:
         """Add slice `k`; yields (slice, weighted mean over its neighbours) for each slice that is complete now.
 
         Args:
+            values: any shape, or () for a slice that adds nothing.
             guide: (H, W) 0..255 of `values` (H, W, C): a neighbour's pixel counts less the more its grey differs, as along
                 a line of the fast global smoother. None where `values` know grey themselves.
         """
-        self._waiting[k], self._guides[k] = values, guide
+        planes = values if guide is None or values.ndim < 3 else np.ascontiguousarray(np.moveaxis(values, -1, 0))
+        self._waiting[k], self._guides[k] = planes, guide
         last = k == self._slices[-1]
         while self._next < len(self._slices):
             due = self._slices[self._next]
@@ -83,15 +85,19 @@ class SliceAverage:
         return any(newest < other <= due + self._reach for other in self._slices[self._next :][: 2 * self._reach + 2])
 
     def _average(self, due: int) -> np.ndarray:
-        total = weights = 0.0
-        for k in sorted(self._waiting):
-            if abs(k - due) > self._reach:
-                continue
-            weight = float(np.exp(-0.5 * ((k - due) / self._sigma) ** 2)) if k != due else 1.0  # keeps float32
-            if self._guides[due] is not None:
-                weight = weight * np.exp(np.abs(self._guides[k] - self._guides[due]) / -GUIDE_SIGMA)[..., None]
-            total, weights = total + weight * self._waiting[k], weights + weight
-        return total / weights
+        near = [k for k in sorted(self._waiting) if abs(k - due) <= self._reach]
+        own = self._guides[due]
+        whole = max((self._waiting[k] for k in near), key=np.size)  # a slice that adds nothing has no shape
+        if own is not None and whole.ndim == 0:
+            return whole
+        total, part, weights = np.zeros_like(whole), np.empty_like(whole), 0.0
+        for k in near:  # in place: fresh memory for every product would take longer than the sums
+            weight = np.float32(np.exp(-0.5 * ((k - due) / self._sigma) ** 2) if k != due else 1.0)
+            if own is not None:
+                weight = weight * np.exp(np.abs(self._guides[k] - own) / np.float32(-GUIDE_SIGMA))
+            total += np.multiply(self._waiting[k], weight, out=part)
+            weights = weights + weight
+        return total / weights if own is None else np.moveaxis(total / weights, 0, -1)
 
     def _forget(self) -> None:
         if self._next < len(self._slices):

@@ -66,7 +66,8 @@ def fit(source: np.ndarray, guide: np.ndarray, weight: np.ndarray, parameters: R
 
 def solve(sums: np.ndarray, parameters: RegressionParameters) -> np.ndarray:
     """Mean colours (rows, columns, bins, C) float32 from the sums of `splat`, or from a weighted sum of several."""
-    return _shrink(_blur(sums), parameters.support_px, parameters.levels).astype(np.float32)
+    planes = _blur(np.moveaxis(sums, -1, 0).astype(np.float64))
+    return np.moveaxis(_shrink(planes, parameters.support_px, parameters.levels), 0, -1).astype(np.float32, order="C")
 
 
 def predict(model: np.ndarray, guide: np.ndarray, within: tuple[float, float, float, float] = WHOLE) -> np.ndarray:
@@ -76,11 +77,13 @@ def predict(model: np.ndarray, guide: np.ndarray, within: tuple[float, float, fl
     volume = torch.from_numpy(np.ascontiguousarray(model)).permute(3, 2, 0, 1)[None]  # (1, C, bins, rows, cols)
     axes = zip(_positions(guide.shape, model.shape[:2], within), model.shape[:2])
     y, x = (torch.from_numpy(at * (2 / (count - 1)) - 1).float() for at, count in axes)
-    z = torch.from_numpy(np.clip(guide, 0, 255).astype(np.float32)) * (2 / 255) - 1
-    where = torch.stack([x.view(1, -1).expand(guide.shape), y.view(-1, 1).expand(guide.shape), z], -1).view(-1, 3)
     parts = torch.get_num_threads()  # grid_sample gives every thread whole samples: one picture would take one thread
-    where = torch.nn.functional.pad(where, (0, 0, 0, -len(where) % parts)).view(parts, 1, 1, -1, 3)
-    volumes = volume.expand(parts, -1, -1, -1, -1)
+    where = torch.empty(guide.size + -guide.size % parts, 3)
+    where[guide.size :] = 0
+    place = where[: guide.size].view(*guide.shape, 3)
+    place[..., 0], place[..., 1] = x, y[:, None]
+    place[..., 2] = torch.from_numpy(np.clip(guide, 0, 255).astype(np.float32)) * (2 / 255) - 1
+    where, volumes = where.view(parts, 1, 1, -1, 3), volume.expand(parts, -1, -1, -1, -1)
     out = torch.nn.functional.grid_sample(volumes, where, mode="bilinear", padding_mode="border", align_corners=True)
     return out.movedim(1, -1).reshape(-1, volume.shape[1])[: guide.size].reshape(*guide.shape, -1).numpy()
 
@@ -91,6 +94,7 @@ def splat(
     weight: np.ndarray,
     parameters: RegressionParameters,
     within: tuple[float, float, float, float] = WHOLE,
+    every: int = 1,
 ) -> np.ndarray:
     """Weighted sums of colour and, last, of weight, spread linearly over the nearest cells.
 
@@ -98,11 +102,13 @@ def splat(
         source, guide, weight, parameters: as for `fit`.
         within: (top, bottom, left, right) edges of the picture in a frame from 0 to 1 that the cells fill; what lies
             outside the frame goes to the cells at its rim.
+        every: the arrays are each n-th row and column of a picture, from the first on, and count n * n times.
 
     Returns:
         (rows, columns, bins, C + 1) float32.
     """
-    rows, cols = (max(2, round(side / parameters.cell_px)) + 2 for side in guide.shape)
+    shape = tuple(every * side for side in guide.shape)
+    rows, cols = (max(2, round(side / parameters.cell_px)) + 2 for side in shape)
     bins, channels = parameters.bins, source.shape[2]
     if rows * cols * bins > MOST_CELLS:
         raise SettingsError(
@@ -110,9 +116,9 @@ def splat(
             f"most {MOST_CELLS} are taken; choose larger cells or fewer bins"
         )
     keep = np.nonzero(weight > 0)
-    y, x = (at[of] for at, of in zip(_positions(guide.shape, (rows, cols), within), keep))
+    y, x = (at[::every][of] for at, of in zip(_positions(shape, (rows, cols), within), keep))
     z = np.clip(guide[keep], 0, 255).astype(np.float64) * ((bins - 1) / 255)
-    trust = weight[keep].astype(np.float64)
+    trust = weight[keep].astype(np.float64) * every**2
     values = np.concatenate([source[keep] * trust[:, None], trust[:, None]], 1)
     cells = _spreading(((y, rows), (x, cols), (z, bins)))
     return (cells @ values).reshape(rows, cols, bins, channels + 1).astype(np.float32)
@@ -156,29 +162,35 @@ def _corner(position: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
 def _blur(sums: np.ndarray) -> np.ndarray:
     from scipy.ndimage import gaussian_filter1d
 
-    sums = sums.astype(np.float64)
-    for axis in range(3):
+    for axis in (1, 2, 3):
         sums = gaussian_filter1d(sums, 1.0, axis=axis, mode="nearest")
     return sums
 
 
 def _shrink(sums: np.ndarray, support: float, levels: int) -> np.ndarray:
-    """Mean colour per cell, drawn towards coarser cells, then the slice's curve, then its mean, where support is thin."""
-    overall = sums.sum((0, 1, 2))
+    """Mean colour per cell, drawn towards coarser cells, then the slice's curve, then its mean, where support is thin.
+
+    Args:
+        sums: (C + 1, rows, cols, bins).
+
+    Returns:
+        (C, rows, cols, bins).
+    """
+    overall = sums.sum((1, 2, 3))
     mean = overall[:-1] / max(overall[-1], 1e-300)
-    curve = sums.sum((0, 1))
-    curve = (curve[:, :-1] + support * mean) / (curve[:, -1:] + support)
+    curve = sums.sum((1, 2))
+    curve = (curve[:-1] + support * mean[:, None]) / (curve[-1:] + support)
     pyramid = [sums]
     for _ in range(levels):
-        if min(pyramid[-1].shape[:2]) < 4:
+        if min(pyramid[-1].shape[1:3]) < 4:
             break
         pyramid.append(_halved(pyramid[-1]))
-    estimate = np.broadcast_to(curve, (*pyramid[-1].shape[:3], curve.shape[1]))
+    estimate = np.broadcast_to(curve[:, None, None], (len(curve), *pyramid[-1].shape[1:]))
     for level in reversed(pyramid):
-        if estimate.shape[:2] != level.shape[:2]:
-            down, across = (_between(n, coarse) for n, coarse in zip(level.shape, estimate.shape[:2]))
-            estimate = np.einsum("rp,cq,pqbk->rcbk", down, across, estimate, optimize=True)
-        estimate = (level[..., :-1] + support * estimate) / (level[..., -1:] + support)
+        if estimate.shape[1:] != level.shape[1:]:
+            down, across = (_between(n, coarse) for n, coarse in zip(level.shape[1:3], estimate.shape[1:3]))
+            estimate = across @ np.tensordot(estimate, down, (1, 1)).transpose(0, 3, 1, 2)
+        estimate = (level[:-1] + support * estimate) / (level[-1:] + support)
     return estimate
 
 
@@ -192,6 +204,6 @@ def _between(count: int, coarse_count: int) -> np.ndarray:
 
 
 def _halved(sums: np.ndarray) -> np.ndarray:
-    rows, cols = sums.shape[:2]
-    padded = np.pad(sums, ((0, rows % 2), (0, cols % 2), (0, 0), (0, 0)))
-    return padded.reshape((rows + 1) // 2, 2, (cols + 1) // 2, 2, *sums.shape[2:]).sum((1, 3))
+    channels, rows, cols, bins = sums.shape
+    padded = np.pad(sums, ((0, 0), (0, rows % 2), (0, cols % 2), (0, 0)))
+    return padded.reshape(channels, (rows + 1) // 2, 2, (cols + 1) // 2, 2, bins).sum((2, 4))

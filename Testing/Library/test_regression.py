@@ -178,3 +178,31 @@ class TestOtherSizes:
 def test_wrong_parameters(wrong):
     with pytest.raises(SettingsError, match=next(iter(wrong))):
         RegressionParameters(**wrong)
+
+
+class TestSums:
+    def test_every_point_goes_to_the_eight_cells_around_it(self, rng):
+        """Point by point, corner by corner."""
+        parameters = RegressionParameters(cell_px=4, bins=5)
+        source, guide, weight = rng.normal(0, 20, (9, 13, 2)), rng.uniform(0, 255, (9, 13)), rng.uniform(0, 1, (9, 13))
+        weight[2:4] = 0
+        got = splat(source, guide, weight, parameters)
+        expected = np.zeros(got.shape)
+        rows, cols, bins = got.shape[:3]
+        for j, i in np.ndindex(guide.shape):
+            at = [0.5 + (j + 0.5) / 9 * (rows - 2), 0.5 + (i + 0.5) / 13 * (cols - 2), guide[j, i] / 255 * (bins - 1)]
+            for corner in np.ndindex(2, 2, 2):
+                cell = [min(int(a), n - 2) + c for a, n, c in zip(at, (rows, cols, bins), corner)]
+                share = np.prod([1 - abs(a - c) for a, c in zip(at, cell)])
+                expected[tuple(cell)] += share * weight[j, i] * np.array([*source[j, i], 1])
+        np.testing.assert_allclose(got, expected, rtol=1e-5, atol=1e-5)
+
+    def test_each_second_row_and_column_counts_for_four(self, rng):
+        source, guide = rng.normal(0, 20, (24, 32, 2)), rng.uniform(0, 255, (24, 32))
+        kept = np.zeros((24, 32))
+        kept[::2, ::2] = 4
+        got = splat(source[::2, ::2], guide[::2, ::2], np.ones((12, 16)), DEFAULT, every=2)
+        np.testing.assert_allclose(got, splat(source, guide, kept, DEFAULT), rtol=1e-5, atol=1e-5)
+
+    def test_nothing_that_counts(self):
+        assert not splat(np.ones((8, 8, 2)), np.ones((8, 8)), np.zeros((8, 8)), DEFAULT).any()

@@ -10,7 +10,7 @@ from MedColorLib.color.gamut import gamma_decode, gamma_encode
 from MedColorLib.color.lab import gray_to_lightness, lab_to_srgb, lightness_to_gray, srgb_to_lab
 from MedColorLib.confidence import LEAST_TRUST, Trust
 from MedColorLib.filters import FILTERS
-from MedColorLib.filters.regression import RegressionParameters, fit, predict
+from MedColorLib.filters.regression import RegressionParameters, predict, solve, splat
 from MedColorLib.grid import MARGIN, choose_grid, to_grid
 from MedColorLib.intensity import spreading_curve
 from MedColorLib.transfer import REMAINDER, SliceMatch, TransferParameters, transfer, transfer_lab
@@ -137,16 +137,18 @@ def test_papers_equation_with_both_of_its_solves(smoother, gamma):
 
 
 def test_same_equation_with_the_regression_for_the_guess():
-    """X + S(T' - X), X the regression, S the fast global smoother on means of 2 x 2 pixels."""
+    """X + S(T' - X), X the regression on each second row and column, S the fast global smoother on means of 2 x 2 pixels."""
     import cv2
 
     grey, _, _ = arguments()
     match = match_of(matched_two(to_grid(grey, GRID)) + np.random.default_rng(1).normal(0, 3, (64, 64, 3)), grey)
     guide = 255 * grey.astype(np.float64)
     chroma = match.lab[INNER][..., 1:]
-    guess = predict(fit(chroma, guide, np.ones(grey.shape), RegressionParameters()), guide)
-    rest = (chroma - guess).reshape(24, 2, 24, 2, 2).mean((1, 3))
-    lightness = gray_to_lightness(grey.reshape(24, 2, 24, 2).mean((1, 3)).astype(np.float64))
+    sums = splat(chroma[::2, ::2], guide[::2, ::2], np.ones((24, 24)), RegressionParameters(), every=2)
+    model = solve(sums, RegressionParameters())
+    guess, coarse_grey = predict(model, guide), grey.reshape(24, 2, 24, 2).mean((1, 3))
+    rest = chroma.reshape(24, 2, 24, 2, 2).mean((1, 3)) - predict(model, 255 * coarse_grey)
+    lightness = gray_to_lightness(coarse_grey.astype(np.float64))
     expected = guess + cv2.resize(FILTERS["fgs"](rest, 2.55 * lightness, REMAINDER), (48, 48))
     got = transfer_lab(grey, np.ones(grey.shape, bool), match, TransferParameters("regression", "keep", False))
     np.testing.assert_allclose(got[..., 1:], expected, atol=0.02)
