@@ -27,6 +27,19 @@ def fast_dtype(device: torch.device) -> torch.dtype:
 
 
 @contextmanager
+def one_thread() -> Iterator[None]:
+    """Torch works with one thread inside: for stages of small arrays, where waking a second one takes longer than it saves."""
+    import torch
+
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
+
+
+@contextmanager
 def memory_errors(device: str) -> Iterator[None]:
     """Turn torch's out-of-memory error into a DeviceError that says what to do."""
     import torch

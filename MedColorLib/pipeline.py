@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .device import memory_errors
+from .device import memory_errors, one_thread
 from .errors import DeviceError
 from .parameters import Settings
 from .plan import LeftOut, Plan
@@ -137,7 +137,7 @@ def _color_slices(
             batch = max(1, batch // 2)
             log.warning("device memory is short: batches of %d slices from here on", batch)
             continue
-        with run.timed("colour"):
+        with run.timed("colour"), one_thread():
             painter.add(ks, matches)
         waiting = waiting[len(ks) :]
     return painter

@@ -12,6 +12,7 @@ import torch
 
 from .. import analogy, vote
 from ..correspondence import exact
+from ..device import one_thread
 from ..engine import Engine
 from ..features import CONTEXT_WEIGHTS
 from ..features.weights import find_weights, load_weights
@@ -119,7 +120,7 @@ def _one_lap(prepared: Prepared, engine: Engine) -> dict[str, float]:
     with watch.watching(*places), tempfile.TemporaryDirectory() as folder:
         with watch.stage("rest of matching"):
             matches = engine.match([0], 0)
-        with watch.stage("colour"):
+        with watch.stage("colour"), one_thread():
             Painter(prepared, engine, stack).add([0], matches)
         with watch.stage("writing"):
             write_color_volume(ColorVolume(stack, prepared.volume.ijk_to_ras), Path(folder) / "slice.nrrd")

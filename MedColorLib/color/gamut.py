@@ -32,7 +32,12 @@ _LINEAR_LOW, _LINEAR_HIGH = srgb_to_linear(np.array([-HALF_LEVEL, 1.0 + HALF_LEV
 
 def _outside(linear: Array) -> Array:
     """Whether any component of linear RGB (..., 3) is, as sRGB, more than half a level outside 0..1."""
-    return ((linear < float(_LINEAR_LOW)) | (linear > float(_LINEAR_HIGH))).any(-1)
+    return _any((linear < float(_LINEAR_LOW)) | (linear > float(_LINEAR_HIGH)))
+
+
+def _any(flags: Array) -> Array:
+    """(..., 3) bool -> (...): any(-1), but several times as fast as a reduction along three values."""
+    return flags[..., 0] | flags[..., 1] | flags[..., 2]
 
 
 def _reduced_chroma(lab: Array) -> Array:
@@ -68,7 +73,7 @@ def lab_to_srgb_in_gamut(lab: Array) -> tuple[Array, int]:
     linear = lab_to_linear(wanted)
     flat = linear_to_srgb(linear)
     black = wanted[:, 0] <= 0.0
-    outside = _outside(linear) | (black & (flat > HALF_LEVEL).any(-1))
+    outside = _outside(linear) | (black & _any(flat > HALF_LEVEL))
     changed = int(outside.sum())
     if changed:
         outside &= ~black  # black needs no search

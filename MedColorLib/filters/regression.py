@@ -9,6 +9,7 @@ those from the whole slice, so no pixel is left without a colour and single wron
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -66,8 +67,8 @@ def fit(source: np.ndarray, guide: np.ndarray, weight: np.ndarray, parameters: R
 
 def solve(sums: np.ndarray, parameters: RegressionParameters) -> np.ndarray:
     """Mean colours (rows, columns, bins, C) float32 from the sums of `splat`, or from a weighted sum of several."""
-    planes = _blur(np.moveaxis(sums, -1, 0).astype(np.float64))
-    return np.moveaxis(_shrink(planes, parameters.support_px, parameters.levels), 0, -1).astype(np.float32, order="C")
+    planes = _blur(np.ascontiguousarray(np.moveaxis(sums, -1, 0)))
+    return np.ascontiguousarray(np.moveaxis(_shrink(planes, parameters.support_px, parameters.levels), 0, -1))
 
 
 def predict(model: np.ndarray, guide: np.ndarray, within: tuple[float, float, float, float] = WHOLE) -> np.ndarray:
@@ -118,10 +119,10 @@ def splat(
     keep = np.nonzero(weight > 0)
     y, x = (at[::every][of] for at, of in zip(_positions(shape, (rows, cols), within), keep))
     z = np.clip(guide[keep], 0, 255).astype(np.float64) * ((bins - 1) / 255)
-    trust = weight[keep].astype(np.float64) * every**2
+    trust = weight[keep].astype(np.float32) * np.float32(every**2)
     values = np.concatenate([source[keep] * trust[:, None], trust[:, None]], 1)
     cells = _spreading(((y, rows), (x, cols), (z, bins)))
-    return (cells @ values).reshape(rows, cols, bins, channels + 1).astype(np.float32)
+    return (cells @ values.astype(np.float32)).reshape(rows, cols, bins, channels + 1)
 
 
 def _spreading(positions):
@@ -132,12 +133,14 @@ def _spreading(positions):
     """
     from scipy.sparse import csc_array
 
-    index, share = np.zeros((1, 1), np.int32), np.ones((1, 1))
+    index, share = np.zeros((1, 1), np.int32), np.ones((1, 1), np.float32)
     for at, size in positions:
         low, fraction = _corner(at, size)
         nearest = np.stack([low, low + 1], 1).astype(np.int32)
         index = (index[:, :, None] * size + nearest[:, None]).reshape(len(at), 2 * index.shape[1])
-        share = (share[:, :, None] * np.stack([1 - fraction, fraction], 1)[:, None]).reshape(index.shape)
+        share = (share[:, :, None] * np.stack([1 - fraction, fraction], 1)[:, None].astype(np.float32)).reshape(
+            index.shape
+        )
     points, corners = share.shape
     starts = np.arange(0, points * corners + 1, corners, dtype=np.int32)
     cells = int(np.prod([size for _, size in positions]))
@@ -160,11 +163,18 @@ def _corner(position: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _blur(sums: np.ndarray) -> np.ndarray:
+    """Gaussian of one cell along rows, columns and bins of (C + 1, rows, cols, bins), as products with small matrices."""
+    for _ in range(3):  # the last axis each time, then it becomes the second: after three turns they are in order again
+        sums = np.moveaxis(sums @ _blurring(sums.shape[-1]).T, -1, 1)
+    return sums
+
+
+@lru_cache(maxsize=16)
+def _blurring(count: int) -> np.ndarray:
+    """(count, count) weights of a Gaussian of one cell, the ends continued."""
     from scipy.ndimage import gaussian_filter1d
 
-    for axis in (1, 2, 3):
-        sums = gaussian_filter1d(sums, 1.0, axis=axis, mode="nearest")
-    return sums
+    return gaussian_filter1d(np.eye(count), 1.0, axis=0, mode="nearest").astype(np.float32)
 
 
 def _shrink(sums: np.ndarray, support: float, levels: int) -> np.ndarray:
@@ -176,9 +186,9 @@ def _shrink(sums: np.ndarray, support: float, levels: int) -> np.ndarray:
     Returns:
         (C, rows, cols, bins).
     """
-    overall = sums.sum((1, 2, 3))
-    mean = overall[:-1] / max(overall[-1], 1e-300)
     curve = sums.sum((1, 2))
+    overall = curve.sum(1)
+    mean = overall[:-1] / max(overall[-1], 1e-30)
     curve = (curve[:-1] + support * mean[:, None]) / (curve[-1:] + support)
     pyramid = [sums]
     for _ in range(levels):
@@ -197,7 +207,7 @@ def _shrink(sums: np.ndarray, support: float, levels: int) -> np.ndarray:
 def _between(count: int, coarse_count: int) -> np.ndarray:
     """(count, coarse_count) weights of linear interpolation from cells that divide the same length more coarsely."""
     at = np.clip((np.arange(count) + 0.5) * (coarse_count / count) - 0.5, 0, coarse_count - 1)
-    weights = np.zeros((count, coarse_count))
+    weights = np.zeros((count, coarse_count), np.float32)
     low, fraction = _corner(at, coarse_count)
     weights[np.arange(count), low], weights[np.arange(count), low + 1] = 1 - fraction, fraction
     return weights
