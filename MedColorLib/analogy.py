@@ -204,9 +204,7 @@ def _mask_at(mask: Tensor, shape) -> Tensor:
     """(N, h, w) bool: more than half covered; where that leaves nothing (tiny bodies), any coverage."""
     cover = adaptive_avg_pool2d(mask.float()[:, None], tuple(shape))[:, 0]
     small = cover > 0.5
-    empty = ~small.flatten(1).any(1)
-    small[empty] = (cover > 0)[empty]
-    return small
+    return torch.where(small.flatten(1).any(1)[:, None, None], small, cover > 0)
 
 
 def _fine_search(name: str, layer: int, iterations: int, generator: torch.Generator):

@@ -107,9 +107,10 @@ def search(target: Tensor, reference: Tensor, radius: int, target_mask: Tensor, 
         field (N, h, w), similarity (N, h, w), reverse field (N, h2, w2) or None, reverse similarity or None.
     """
     shape, shape2 = target.shape[1:], reference.shape[1:]
-    on_cpu = target.device.type == "cpu"
-    step = max(1, _BLOCK_ENTRIES // (shape[2] * shape2[1] * shape2[2])) if on_cpu else shape[1]
-    sums = PatchSums(shape, shape2, radius, step, target.dtype, target.device)
+    rows = shape[1]
+    if target.device.type == "cpu":
+        rows = min(rows, max(1, _BLOCK_ENTRIES // (shape[2] * shape2[1] * shape2[2])))
+    sums = PatchSums(shape, shape2, radius, rows, target.dtype, target.device)
     found = [
         _search_one(sums, side, reference[n if len(reference) > 1 else 0], target_mask[n], reference_mask, both)
         for n, side in enumerate(target)
@@ -159,12 +160,13 @@ def _largest_of_rows(block: Tensor) -> tuple[Tensor, Tensor]:
 def _raise_largest_of_columns(block: Tensor, offset: int, best: Tensor, position: Tensor) -> None:
     """Where a column has a number above `best`, put it there, and its row (+ offset) into `position`.
 
-    The best group of rows first; the row inside only for columns that have improved.
+    The best group of rows first; the row inside only for columns that have improved: all of them in the first block (a
+    GPU has no other, and is not asked for their number, which would make it wait).
     """
     rows, columns = block.shape
     side = math.gcd(rows, _GROUP // 2)
     groups = block.view(rows // side, side, columns)
     values, group = groups.amax(1).max(0)
-    better = (values > best).nonzero()[:, 0]
+    better = (values > best).nonzero()[:, 0] if offset else torch.arange(columns, device=block.device)
     inside = groups[group[better], :, better].max(1).indices
     best[better], position[better] = values[better], group[better] * side + inside + offset

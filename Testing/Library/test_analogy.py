@@ -6,12 +6,15 @@ import math
 
 import pytest
 import torch
+from torch.utils._python_dispatch import TorchDispatchMode
 
 from MedColorLib import analogy
 from MedColorLib.analogy import BLEND_ALPHA, Context, deep_image_analogy, response_weight, unit
+from MedColorLib.confidence import consistency
 from MedColorLib.correspondence.field import identity
 from MedColorLib.device import fast_dtype
 from MedColorLib.reconstruction import deconvolve, make_reconstruction
+from MedColorLib.vote import matched_colors
 
 SHAPE = (48, 64)
 
@@ -322,3 +325,37 @@ class TestReconstruction:
         rebuild = make_reconstruction("lbfgs", self.network)
         solved = rebuild(2, self.coarse, self.start)
         assert (self.residual(solved) < 0.05 * self.residual(self.start)).all()
+
+
+class Asked(TorchDispatchMode):
+    """Counts torch's operations, and those whose result the program must wait for on a GPU."""
+
+    WAITS = ("nonzero", "_local_scalar_dense", "masked_select", "_unique", "equal")
+
+    def __init__(self):
+        super().__init__()
+        self.count, self.waits = 0, []
+
+    def __torch_dispatch__(self, function, types, args=(), kwargs=None):
+        name = function.__name__.split(".")[0]
+        self.count += 1
+        if name in self.WAITS:
+            self.waits.append(name)
+        return function(*args, **(kwargs or {}))
+
+
+class TestOnADevice:
+    """As on a GPU: the similarity in one block."""
+
+    @pytest.mark.parametrize(("stop_layer", "most"), [(3, 1500), (1, 12000)])
+    def test_no_slice_waits_for_the_device(self, stop_layer, most, monkeypatch):
+        monkeypatch.setattr(analogy.exact, "_BLOCK_ENTRIES", 1 << 40)
+        monkeypatch.setattr(analogy, "EXACT_LIMIT", 16**4 + 1)  # layers 2 and 1 in windows
+        sides = {layer: 64 // 2 ** (layer - 1) for layer in range(1, 6)}
+        target, reference = ({n: torch.rand(count, 12, s, s) for n, s in sides.items()} for count in (2, 1))
+        masks = torch.ones(2, 64, 64, dtype=torch.bool), torch.ones(64, 64, dtype=torch.bool)
+        with Asked() as asked:
+            found = analogy.deep_image_analogy(target, reference, *masks, stop_layer, keep_reverse=True)
+            matched_colors(found.field, found.layer, torch.rand(1, 3, 64, 64))
+            consistency(found.field, found.reverse)
+        assert not asked.waits and asked.count < most
