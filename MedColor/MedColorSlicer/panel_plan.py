@@ -16,7 +16,7 @@ _POLL_MS = 50
 _PATIENCE_SECONDS = 5.0  # a thread that outlives Python takes Slicer down with it
 _WAIT_SECONDS = 0.02  # in each poll the worker gets the interpreter for this long
 # Seconds per slice on two processor cores, before anything was measured on this computer.
-_FIRST_GUESS = {"draft": 0.5, "balanced": 1.5, "full": 20.0}
+_FIRST_GUESS = {"draft": 0.15, "balanced": 0.4, "full": 8.0}
 
 
 class PlanPart:
@@ -26,6 +26,7 @@ class PlanPart:
         self.panel, self.ui = panel, panel.ui
         self._worker, self._answer, self._asked, self._stale = None, None, None, False
         self._slices = None  # how many the latest plan colours
+        self._settings = None  # those of the latest question
         self._delay, self._poll = qt.QTimer(), qt.QTimer()
         self._delay.setSingleShot(True)
         self._delay.setInterval(_DELAY_MS)
@@ -68,8 +69,8 @@ class PlanPart:
             return
         self._asked = question
         try:
-            settings, pictures = parameters.settings_from(p), panel.inputs.references()
-            compute = panel.logic.planner(p.inputVolume, pictures, settings, p.roi, p.labels)
+            self._settings, pictures = parameters.settings_from(p), panel.inputs.references()
+            compute = panel.logic.planner(p.inputVolume, pictures, self._settings, p.roi, p.labels)
         except Exception as error:  # what is wrong is said in the plan's place
             self.ui.planText.plainText = panel.explain(error)
             return
@@ -101,10 +102,19 @@ class PlanPart:
         elif "error" in self._answer:
             self.ui.planText.plainText = self.panel.explain(self._answer["error"])
         else:
-            # columns of spaces are for fixed-width type; the panel has none
-            self.ui.planText.plainText = re.sub(r"(?m)^  (\w[\w ]*?) {2,}", r"\1: ", self._answer["plan"].text())
-            self._slices = len(self._answer["plan"].slices)
-            self.showTimes()
+            self._show(self._answer["plan"])
+
+    def _show(self, plan) -> None:
+        """The plan, and the colour error that the benchmark measured with these settings."""
+        from MedColorLib.expected_error import NOT_MEASURED, expected_error
+
+        error = expected_error(self._settings, plan.features)
+        # columns of spaces are for fixed-width type; the panel has none
+        text = re.sub(r"(?m)^  (\w[\w ]*?) {2,}", r"\1: ", plan.text())
+        expected = _("Colour error to expect: {error}").format(error=error.text() if error else NOT_MEASURED)
+        self.ui.planText.plainText = f"{text}\n{expected}"
+        self._slices = len(plan.slices)
+        self.showTimes()
 
     def showTimes(self) -> None:
         """Beside the names of the presets, how long each may take; nothing before there is a plan."""

@@ -33,6 +33,7 @@ class Method:
         features: "vgg19" or "embedded". preset: key of PRESETS.
         stop_layer, context: other than the preset's; None takes the preset's.
         reconstruction: "warp" or "lbfgs".
+        whole_features: True compares all channels of the features instead of the preset's components.
         contrast, orientation: False takes the histogram match, and the photograph as it lies: both as in the paper.
     """
 
@@ -41,6 +42,7 @@ class Method:
     stop_layer: int | None = None
     context: bool | None = None
     reconstruction: str = "warp"
+    whole_features: bool = False
     contrast: bool = True
     orientation: bool = True
 
@@ -54,6 +56,8 @@ class Method:
             parts.append("with context" if self.context else "without context")
         if self.reconstruction != "warp":
             parts.append(self.reconstruction)
+        if self.whole_features:
+            parts.append("whole features")
         if not self.contrast:
             parts.append("histogram match")
         if not self.orientation:
@@ -118,6 +122,9 @@ class Matched:
         if method.stop_layer is not None:
             self.engine.stop_layer = method.stop_layer
             self.engine.layers = tuple(range(5, method.stop_layer - 1, -1))
+            self.engine.forget_features()
+        if method.whole_features:
+            self.engine.components = None
             self.engine.forget_features()
         if method.context is not None:
             self.engine.uses_context = method.context

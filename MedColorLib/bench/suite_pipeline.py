@@ -48,6 +48,7 @@ def methods(quick: bool, with_network: bool) -> list[Method]:
         found += [Method(features, "balanced", stop_layer=layer) for layer in (5, 4, 2, 1)]
         found.append(Method(features, "balanced", context=False))
         if features == "vgg19":
+            found.append(Method(features, "balanced", whole_features=True))
             found.append(Method(features, "balanced", reconstruction="lbfgs"))
             found.append(Method(features, "full", reconstruction="lbfgs"))
     return found

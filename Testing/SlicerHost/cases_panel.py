@@ -217,10 +217,13 @@ def test_first_volume_of_the_scene_is_chosen(panel):
 
 def test_plan_and_times_are_readable_before_apply(ready, monkeypatch):
     import MedColorLib
+    from MedColorLib.expected_error import expected_error
 
-    plan = types.SimpleNamespace(text=lambda: "left out: nothing", slices=tuple(range(40)))
+    plan = types.SimpleNamespace(text=lambda: "left out: nothing", slices=tuple(range(40)), features="embedded")
     monkeypatch.setattr(MedColorLib, "make_plan", lambda *_, **_options: plan)
-    wait_for(lambda: ready.ui.planText.plainText == "left out: nothing")
+    wait_for(lambda: ready.ui.planText.plainText.startswith("left out: nothing"))
+    measured = expected_error(MedColorLib.Settings(preset=ready.parameters.preset), "embedded")
+    assert ready.ui.planText.plainText.endswith(f"Colour error to expect: {measured.text()}")
     assert [ready.ui.presetComboBox.itemText(n).split(" (about ")[0] for n in range(3)] == ["Draft", "Balanced", "Full"]
     assert "min" in ready.ui.presetComboBox.itemText(2)
     shown = [ready.ui.presetComboBox.itemText(n) for n in range(3)]
