@@ -11,7 +11,7 @@ import math
 import torch
 from torch import Tensor
 
-_EXCLUDED = -1e4  # below any similarity of unit features
+_EXCLUDED = -1e4  # far below any sum over a patch: at least -50 of features and grey; tissue groups add up to 6100
 _BLOCK_ENTRIES = 2**21  # similarities at a time on a CPU: 8 MB
 _GROUP = 64  # numbers of which the largest is found first, by a reduction that runs along memory
 

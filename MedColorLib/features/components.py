@@ -22,9 +22,9 @@ def principal_components(features: Tensor, count: int) -> Tensor:
     Returns:
         (count or C, whichever is less, C) float32 with orthonormal rows, the largest component first.
     """
-    values = features[0].flatten(1).double()
+    values = features[0].flatten(1).cpu().double()  # once a reference, and alike on every device
     values = values / values.norm(dim=0).clamp_min(1e-12)
-    directions = torch.linalg.eigh((values @ values.T).cpu()).eigenvectors  # ascending; on the CPU everywhere alike
+    directions = torch.linalg.eigh(values @ values.T).eigenvectors  # ascending
     return directions[:, -count:].T.flip(0).contiguous().float().to(features.device)
 
 
