@@ -69,7 +69,7 @@ def estimate(
         As `colorize`.
     """
     from .engine import Engine
-    from .paint import Painter
+    from .paint import Painter, side_by_side
     from .prepare import prepare
     from .progress import Run
 
@@ -83,8 +83,9 @@ def estimate(
     probes = []
     for _ in range(PROBES + 1):  # the first warms up and does not count
         start = time.perf_counter()
-        painter = Painter(single, engine, None)
-        painter.add([middle], engine.match([middle], engine.choice[middle]))
+        with side_by_side() as each:
+            painter = Painter(single, engine, None, each=each)
+            painter.add([middle], engine.match([middle], engine.choice[middle]))
         probes.append(time.perf_counter() - start)
     probes = sorted(probes[1:])
     count = len(slices) - len(prepared.repeats)

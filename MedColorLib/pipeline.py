@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .device import memory_errors, one_thread
+from .device import memory_errors
 from .errors import DeviceError
 from .parameters import Settings
 from .plan import LeftOut, Plan
@@ -118,10 +118,18 @@ def _color_slices(
     prepared: Prepared, engine: Engine, rgb: np.ndarray, confidence: np.ndarray | None, run: Run
 ) -> Painter:
     """Fill `rgb` (k, j, i, 3) and, where it is wanted, `confidence` (k, j, i)."""
-    from .paint import Painter
+    from .paint import Painter, side_by_side
 
     view = prepared.order.view
-    painter = Painter(prepared, engine, view(rgb), None if confidence is None else view(confidence))
+    stacks = view(rgb), None if confidence is None else view(confidence)
+    with side_by_side() as each:
+        painter = Painter(prepared, engine, *stacks, each)
+        _color_batches(prepared, engine, painter, run)
+    return painter
+
+
+def _color_batches(prepared: Prepared, engine: Engine, painter: Painter, run: Run) -> None:
+    """Match and paint slices, as many together as the settings and the device's memory allow."""
     batch = prepared.settings.batch
     waiting = list(prepared.plan.slices)
     while waiting:
@@ -137,10 +145,9 @@ def _color_slices(
             batch = max(1, batch // 2)
             log.warning("device memory is short: batches of %d slices from here on", batch)
             continue
-        with run.timed("colour"), one_thread():
+        with run.timed("colour"):
             painter.add(ks, matches)
         waiting = waiting[len(ks) :]
-    return painter
 
 
 def _next_batch(waiting: list[int], engine: Engine, repeats: dict[int, int], batch: int) -> list[int]:

@@ -12,11 +12,10 @@ import torch
 
 from .. import analogy, vote
 from ..correspondence import exact
-from ..device import one_thread
 from ..engine import Engine
 from ..features import CONTEXT_WEIGHTS
 from ..features.weights import find_weights, load_weights
-from ..paint import Painter
+from ..paint import Painter, side_by_side
 from ..parameters import Settings
 from ..prepare import Prepared, prepare
 from ..progress import Progress, Run
@@ -120,8 +119,8 @@ def _one_lap(prepared: Prepared, engine: Engine) -> dict[str, float]:
     with watch.watching(*places), tempfile.TemporaryDirectory() as folder:
         with watch.stage("rest of matching"):
             matches = engine.match([0], 0)
-        with watch.stage("colour"), one_thread():
-            Painter(prepared, engine, stack).add([0], matches)
+        with watch.stage("colour"), side_by_side() as each:
+            Painter(prepared, engine, stack, each=each).add([0], matches)
         with watch.stage("writing"):
             write_color_volume(ColorVolume(stack, prepared.volume.ijk_to_ras), Path(folder) / "slice.nrrd")
     return {stage: watch.seconds[stage] for stage in PER_SLICE}

@@ -1,0 +1,50 @@
+"""Painting: slices of a batch on threads of their own give what one after the other gives, and torch gets its threads back."""
+
+from __future__ import annotations
+
+import threading
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+import torch
+
+from MedColorLib import Settings, colorize, paint
+from MedColorLib.bench.peak_memory import tall_phantom
+from MedColorLib.phantom import section
+
+
+@contextmanager
+def one_by_one():
+    yield lambda function, *arguments: list(map(function, *arguments))
+
+
+@pytest.mark.parametrize("changes", [{}, {"smoother": "fgs"}, {"preset": "full", "smoother": "guided"}])
+def test_same_bytes_as_one_by_one(changes, small_raster, monkeypatch):
+    volume = tall_phantom(7, 48)
+    settings = Settings(**{"preset": "draft", "features": "embedded", "confidence": True, **changes})
+    together = colorize(volume, [section()], settings)
+    monkeypatch.setattr(paint, "side_by_side", one_by_one)
+    apart = colorize(volume, [section()], settings)
+    np.testing.assert_array_equal(together.rgb, apart.rgb)
+    np.testing.assert_array_equal(together.confidence, apart.confidence)
+    assert together.report["out_of_gamut_pixels"] == apart.report["out_of_gamut_pixels"]
+    assert together.rgb.any()
+
+
+def test_order_threads_and_errors():
+    before, names = torch.get_num_threads(), set()
+
+    def doubled(number):
+        names.add(threading.current_thread().name)
+        if number == 3:
+            raise ZeroDivisionError
+        return 2 * number, torch.get_num_threads()
+
+    with paint.side_by_side() as each:
+        assert each(doubled, [2, 0, 1]) == [(4, 1), (0, 1), (2, 1)]
+        with pytest.raises(ZeroDivisionError):
+            each(doubled, [1, 3])
+        assert torch.get_num_threads() == before
+    assert all(name.startswith("MedColor colour") for name in names)
+    assert not any(thread.name.startswith("MedColor colour") for thread in threading.enumerate())
