@@ -121,10 +121,10 @@ def _suites(sections: list[Section], data: Path | None, quick: bool, seed: int) 
     from . import stability
 
     def by_module(name: str, *arguments) -> Callable[[Progress], Suite]:
-        def measure(progress: Progress) -> Suite:
-            return import_module(f".suite_{name}", __package__).run(*arguments, quick, seed, progress)
-
-        return measure
+        suite = import_module(
+            f".suite_{name}", __package__
+        )  # now: what cannot run is known before the first measurement
+        return lambda progress: suite.run(*arguments, quick, seed, progress)
 
     first = sections[0] if sections else None
     return {
