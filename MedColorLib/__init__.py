@@ -5,7 +5,7 @@ The data's way, one file a stage, one folder a choice of alternatives:
 | stage | file | takes -> gives |
 | --- | --- | --- |
 | volume in | `volume_io`, `volume` | file -> `Volume` (k, j, i) with its place in space |
-| slices | `slices`, `body`, `intensity`, `reference`, `grid` | volume -> transverse slices, body, display grey on one raster |
+| slices | `slices`, `planes`, `body`, `intensity`, `reference`, `grid` | volume -> slices, body, display grey on one raster |
 | references | `references`, `color_sections`, `library`, `visible_human` | picture, folder, colour volume -> `Reference`s |
 | tissue guard | `guard`, `label_picture` | label volume, label pictures -> groups that matching and colour do not cross |
 | choice of references | `recommend`, `assignment` | likeness of descriptors -> a reference for each slice |

@@ -21,6 +21,7 @@ from .errors import InputError, SettingsError
 from .grid import MARGIN, Grid, to_grid
 from .label_picture import read_label_picture
 from .parameters import Settings
+from .planes import PlaneBlocks, planes_of
 from .reference import Reference
 from .slices import SliceOrder
 from .volume import Volume
@@ -89,7 +90,7 @@ class Guard:
 
 @dataclass(frozen=True, eq=False)
 class Groups:
-    """A guard made ready for one run; nothing in it is a copy of the label volume.
+    """A guard made ready for one run.
 
     Attributes:
         guard: as given. table: (65536,) uint8, see `Guard.table`.
@@ -101,7 +102,7 @@ class Groups:
 
     guard: Guard
     table: np.ndarray
-    view: np.ndarray
+    view: np.ndarray | PlaneBlocks
     pictures: tuple[np.ndarray | None, ...]
     missing: tuple[tuple[int, ...] | None, ...]
     hashes: tuple[str | None, ...]
@@ -194,7 +195,7 @@ def prepare_guard(
         for picture, reference in zip(pictures, references)
     )
     hashes = tuple(None if labels is None else hashlib.sha256(labels.tobytes()).hexdigest() for labels in cut)
-    return Groups(guard, table, order.view(guard.labels.array), pictures, missing, hashes)
+    return Groups(guard, table, planes_of(order.view(guard.labels.array)), pictures, missing, hashes)
 
 
 def groups_on_grid(picture: np.ndarray, reference: Reference, grid: Grid) -> np.ndarray:

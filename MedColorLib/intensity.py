@@ -28,7 +28,7 @@ def strided(array: np.ndarray, limit: int = _SAMPLE_LIMIT, mask: np.ndarray | No
     They are taken plane by plane: neither a transposed view nor the voxels inside `mask` (same shape, bool) are copied
     as a whole.
     """
-    array = np.asarray(array)
+    array = array if hasattr(array, "flags") else np.asarray(array)
     total = array.size if mask is None else int(np.count_nonzero(mask))
     step = -(-total // limit) | 1  # odd: does not stay in the same columns of a row of 2^n
     if array.ndim < 2 or (mask is None and array.flags.c_contiguous):

@@ -17,6 +17,7 @@ from .guard import Groups, Guard, prepare_guard
 from .intensity import Window, check_values, choose_window
 from .parameters import PRESETS, Settings
 from .plan import LeftOut, Plan
+from .planes import PlaneBlocks, planes_of
 from .reference import Reference
 from .references import describe_references, load_references
 from .slices import SliceOrder, slice_order
@@ -27,12 +28,12 @@ SAMPLE_SLICES = 7  # slices from which window and contrast curve are taken
 
 @dataclass(frozen=True)
 class Prepared:
-    """What `colorize` needs to start; nothing in it is a copy of the volume."""
+    """What `colorize` needs to start; nothing in it is a copy of the volume, but for planes that lie across it (`planes`)."""
 
     volume: Volume
     settings: Settings
     order: SliceOrder
-    view: np.ndarray
+    view: np.ndarray | PlaneBlocks
     body: Body
     window: Window
     references: tuple[Reference, ...]
@@ -74,7 +75,7 @@ def prepare(
     device = choose_device(settings.device) if find_device else settings.device
     prepared_references = load_references(references)
     order = slice_order(volume.ijk_to_ras, settings.plane)
-    view = order.view(volume.array)
+    view = planes_of(order.view(volume.array))
     grid = choose_grid(PRESETS[settings.preset].grid_px)
     groups = guard and prepare_guard(guard, volume, prepared_references, settings, order, grid)
     body = find_body(view)

@@ -134,11 +134,12 @@ class Recommender:
     def _body_of(self, volume: Volume):
         from .body import find_body
         from .intensity import check_values
+        from .planes import planes_of
         from .slices import slice_order
 
         if self._seen is None or self._seen[0] is not volume:
             check_values(volume.array, volume.name)
-            view = slice_order(volume.ijk_to_ras).view(volume.array)
+            view = planes_of(slice_order(volume.ijk_to_ras).view(volume.array))
             self._seen = (volume, view, find_body(view))
         return self._seen[1:]
 
