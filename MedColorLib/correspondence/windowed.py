@@ -15,7 +15,8 @@ from .patchmatch import patch_similarity
 
 BLOCK = 8
 REACH = 8  # the window reaches this far beyond the block on every side: 24 x 24 candidates for each position
-_CHUNK_BYTES = 96 << 20
+_CHUNK_BYTES = 4 << 20  # of blocks at a time on a CPU: they stay in the cache, 1.7 times as fast as 96 MB
+_DEVICE_CHUNK_BYTES = 96 << 20
 _EXCLUDED = -1e4
 
 
@@ -72,7 +73,8 @@ def _search_windows(blocks, reference, mask, top, left, sides, radius):
     inside = _raster(halo_y, halo_x, stride, reference.device)
     candidates = _raster(*sides, cols2, reference.device)
     per_block = 4 * halo_y * halo_x * (channels + (BLOCK + 2 * radius) ** 2)
-    chunk = max(1, _CHUNK_BYTES // per_block)
+    most_bytes = _CHUNK_BYTES if reference.device.type == "cpu" else _DEVICE_CHUNK_BYTES
+    chunk = max(1, most_bytes // per_block)
     found, score = [], []
     for first in range(0, len(blocks), chunk):
         part = slice(first, first + chunk)

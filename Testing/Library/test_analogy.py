@@ -350,6 +350,7 @@ class TestOnADevice:
     @pytest.mark.parametrize(("stop_layer", "most"), [(3, 1500), (1, 12000)])
     def test_no_slice_waits_for_the_device(self, stop_layer, most, monkeypatch):
         monkeypatch.setattr(analogy.exact, "_BLOCK_ENTRIES", 1 << 40)
+        monkeypatch.setattr(analogy.windowed, "_CHUNK_BYTES", analogy.windowed._DEVICE_CHUNK_BYTES)
         monkeypatch.setattr(analogy, "EXACT_LIMIT", 16**4 + 1)  # layers 2 and 1 in windows
         sides = {layer: 64 // 2 ** (layer - 1) for layer in range(1, 6)}
         target, reference = ({n: torch.rand(count, 12, s, s) for n, s in sides.items()} for count in (2, 1))

@@ -170,18 +170,27 @@ def test_lightness_equals_cielab():
     np.testing.assert_allclose(lightness(torch.arange(256) / 255).numpy() * 255, bytes_out, atol=1)
 
 
+def test_pictures_of_a_batch_are_as_by_themselves(narrow):
+    _, loaded = narrow()
+    network, pictures = VGG19(loaded), torch.cat([picture(16, 32), picture(16, 32).flip(-1)])
+    together = network.extract(pictures, (3, 1))
+    for n, one in enumerate(pictures):
+        alone = network.extract(one[None], (3, 1))
+        assert all(torch.equal(together[layer][n], alone[layer][0]) for layer in (3, 1))
+
+
 def test_only_what_is_asked_for_is_computed(narrow, monkeypatch):
     _, loaded = narrow()
     network = VGG19(loaded)
     computed = []
     plain = VGG19._convolve
     monkeypatch.setattr(VGG19, "_convolve", lambda self, name, x: computed.append(name) or plain(self, name, x))
-    assert list(network.extract(picture(16, 16), [3, 2, 3])) == [2, 3]
+    assert list(network.extract(picture(16, 16)[:1], [3, 2, 3])) == [2, 3]
     assert computed == ["conv1_2", "conv2_1", "conv2_2", "conv3_1"]
     computed.clear()
-    assert list(network.extract(picture(16, 16), (1,))) == [1]
+    assert list(network.extract(picture(16, 16)[:1], (1,))) == [1]
     assert computed == []
-    assert network.extract(picture(16, 16), ()) == {}
+    assert network.extract(picture(16, 16)[:1], ()) == {}
 
 
 def test_batches_equal_single_pictures_and_runs_repeat(narrow):
