@@ -202,7 +202,7 @@ def _add_bench(commands) -> None:
         metavar="DIR",
         help="folder for the report (default: %(default)s)",
     )
-    add("--quick", action="store_true", help="fewer points and repeats: about two minutes")
+    add("--quick", action="store_true", help="fewer points and repeats: under two minutes")
     add("--stability", action="store_true", help="only the table of stiff and extreme cases")
     add("--suites", metavar="NAME[,NAME]", help="only these, such as quality,profile")
     add(

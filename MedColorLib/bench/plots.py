@@ -89,6 +89,7 @@ def _pipeline(suite: Suite) -> bytes:
             title=f"{section}, luminance {remap}", xlabel="seconds per slice of 256 x 256", ylabel="mean CIEDE2000"
         )
     axes[0].plot([], [], "o", color="0.5", markersize=3, label="other smoothers, gamma")
+    axes[0].plot([], [], "o", color="0.5", markerfacecolor="none", label="a preset with one step changed")
     return _finished(figure, axes)
 
 
@@ -104,9 +105,16 @@ def _pipeline_points(axis, errors: Table, keys: dict, number: int) -> None:
             "marker": MARKERS[number],
             "linestyle": "none",
             "markersize": 7 if is_own else 3,
+            "markerfacecolor": "none" if _is_variant(row["method"]) and is_own else COLORS[number],
         }
-        axis.errorbar(row["seconds"], row["mean"], xerr=_bars(row), label=label if is_own else None, **style)
-        if is_own:
+        axis.errorbar(
+            row["seconds"],
+            row["mean"],
+            xerr=_bars(row),
+            label=label if is_own and not _is_variant(row["method"]) else None,
+            **style,
+        )
+        if is_own and not _is_variant(row["method"]):
             label = None
             axis.annotate(
                 row["method"].removeprefix("balanced, "),
@@ -115,6 +123,11 @@ def _pipeline_points(axis, errors: Table, keys: dict, number: int) -> None:
                 xytext=(4, 4),
                 textcoords="offset points",
             )
+
+
+def _is_variant(method: str) -> bool:
+    """A preset with one step changed, for example "balanced, without context": in the table, without a name in the plot."""
+    return "," in method and "to layer" not in method
 
 
 def _smoothing(suite: Suite) -> bytes:

@@ -44,7 +44,7 @@ def run_bench(
 
     Args:
         folder: for bench.json, bench.html and the PNG files; made if missing.
-        quick: fewer points and repeats, about two minutes on two cores.
+        quick: fewer points and repeats, under two minutes on two cores.
         stability: only the stability table.
         data: folder with the Visible Human photographs and CT; None takes ../shared/data beside the repository, else the
             section made by formula alone.
