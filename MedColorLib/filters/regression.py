@@ -17,6 +17,7 @@ from ..errors import SettingsError
 from . import options
 
 MOST_CELLS = 1 << 22  # 130 MB of sums a slice; the defaults on 256 x 256 pixels take 37 000
+_LEAST_SUPPORT = 1e-30  # what float32 can still divide by where a cell has no evidence at all
 WHOLE = (0.0, 1.0, 0.0, 1.0)  # (top, bottom, left, right): the picture fills the frame of the cells
 
 
@@ -68,7 +69,8 @@ def fit(source: np.ndarray, guide: np.ndarray, weight: np.ndarray, parameters: R
 def solve(sums: np.ndarray, parameters: RegressionParameters) -> np.ndarray:
     """Mean colours (rows, columns, bins, C) float32 from the sums of `splat`, or from a weighted sum of several."""
     planes = _blur(np.ascontiguousarray(np.moveaxis(sums, -1, 0)))
-    return np.ascontiguousarray(np.moveaxis(_shrink(planes, parameters.support_px, parameters.levels), 0, -1))
+    support = max(parameters.support_px, _LEAST_SUPPORT)
+    return np.ascontiguousarray(np.moveaxis(_shrink(planes, support, parameters.levels), 0, -1))
 
 
 def predict(model: np.ndarray, guide: np.ndarray, within: tuple[float, float, float, float] = WHOLE) -> np.ndarray:

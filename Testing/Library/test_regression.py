@@ -206,3 +206,10 @@ class TestSums:
 
     def test_nothing_that_counts(self):
         assert not splat(np.ones((8, 8, 2)), np.ones((8, 8)), np.zeros((8, 8)), DEFAULT).any()
+
+
+@pytest.mark.parametrize("support_px", [1e-300, 1e-12, 1e9])
+def test_support_beyond_float32_leaves_no_cell_undefined(support_px, rng):
+    source, guide = rng.normal(0, 20, (40, 33, 2)), rng.uniform(0, 255, (40, 33))
+    got = smooth(source, guide, RegressionParameters(support_px=support_px))
+    assert np.isfinite(got).all() and np.abs(got).max() <= np.abs(source).max()
