@@ -131,7 +131,8 @@ def _suites(sections: list[Section], data: Path | None, quick: bool, seed: int) 
         "pipeline": lambda progress: _pipeline(sections, data, quick, seed, progress),
         "quality": by_module("quality", sections, data),
         "correspondence": lambda progress: _correspondence(sections, quick, seed, progress),
-        **{name: by_module(name, first) for name in ("smoothing", "features", "profile", "sidebyside", "scaling")},
+        "profile": by_module("profile", first, data),
+        **{name: by_module(name, first) for name in ("smoothing", "features", "sidebyside", "scaling")},
         "stability": stability.run,
     }
 

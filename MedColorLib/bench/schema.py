@@ -8,6 +8,7 @@ from typing import Any
 from ..errors import InputError
 from . import (
     machine,
+    real_volumes,
     regions,
     slabs,
     stability,
@@ -37,6 +38,7 @@ TABLES = {
     "stages": suite_profile.COLUMNS,
     "machine": machine.COLUMNS,
     "network": suite_profile.NETWORK_COLUMNS,
+    "volumes": real_volumes.COLUMNS,
     "sidebyside": suite_sidebyside.COLUMNS,
     "scaling": suite_scaling.COLUMNS,
     "exponents": suite_scaling.EXPONENT_COLUMNS,

@@ -21,7 +21,7 @@ from ..prepare import Prepared, prepare
 from ..progress import Progress, Run
 from ..volume import ColorVolume, Volume
 from ..volume_io import write_color_volume
-from . import suite_pipeline, work
+from . import real_volumes, suite_pipeline, work
 from .machine import Machine, measure_machine
 from .pairs import Section, make_pair
 from .stopwatch import Stopwatch
@@ -51,8 +51,8 @@ NOTES = [
 ]
 
 
-def run(section: Section, quick: bool, seed: int, progress: Progress) -> Suite:
-    """Measure the machine, every stage by features, preset and size of the slice, and the bare network."""
+def run(section: Section, data: Path | None, quick: bool, seed: int, progress: Progress) -> Suite:
+    """Measure the machine, every stage by features, preset and size of the slice, the bare network, and real volumes."""
     progress(0.0, "profile, rates of the machine")
     machine = measure_machine(quick)
     suite = Suite({"stages": Table(COLUMNS), "machine": machine.table()}, notes=list(NOTES))
@@ -61,14 +61,16 @@ def run(section: Section, quick: bool, seed: int, progress: Progress) -> Suite:
     if quick:
         jobs = [(names[-1], "balanced", 256)]
     for number, (name, preset, side) in enumerate(jobs):
-        progress(0.1 + 0.8 * number / len(jobs), f"profile, {name} {preset}, {side} x {side}")
+        progress(0.1 + 0.2 * number / len(jobs), f"profile, {name} {preset}, {side} x {side}")
         settings = Settings(preset=preset, features=name, window=(0.0, 1.0))
         measure(suite.tables["stages"], machine, slice_volume(section, side, seed), section.rgb, settings, quick)
     if "vgg19" in names:
-        progress(0.9, "profile, bare network")
+        progress(0.3, "profile, bare network")
         suite.tables["network"] = measure_network(3 if quick else 7)
     else:
         suite.failures.append(("VGG-19 and the bare network", "no weights here"))
+    if not quick:
+        real_volumes.run(suite, data, lambda f: progress(0.35 + 0.65 * f, "profile, real volumes"))
     return suite
 
 

@@ -22,6 +22,13 @@ ERROR_TARGETS = (
 )
 FLICKER_TARGET = 1 / 3  # of the slices coloured one by one, on real volumes
 NETWORK_TARGET = 1.5  # times the bare forward pass
+# (features, method, largest seconds a slice of 512 x 512 where the processor has bfloat16, largest share of balanced, VGG-19)
+SPEED_TARGETS = (
+    ("vgg19", "balanced", 1.5, None),
+    ("vgg19", "draft", 0.5, 1 / 3),
+    ("embedded", "balanced", 0.375, 1 / 4),
+)
+COLOUR_SHARE_TARGET = 0.1
 MEMORY_TARGET_MB = 16.0  # beyond input and output, from the fewest slices to the most
 _SECONDS_TARGET = 3.0
 
@@ -70,6 +77,7 @@ def all_targets(suites: dict[str, Suite]) -> Table:
     for row in tables["network"].where() if "network" in tables else ():
         if row["what"].startswith("extractor"):
             found.append(("VGG-19: times the bare forward pass", row["ratio"], NETWORK_TARGET))
+    found += _speed(tables["volumes"]) if "volumes" in tables else []
     if "memory" in tables:
         grown = tables["memory"].where()[-1]
         name = f"memory of {grown['slices']} slices beyond input and output: growth in MB"
@@ -77,6 +85,25 @@ def all_targets(suites: dict[str, Suite]) -> Table:
     for name, value, limit in found:
         table.add(target=name, value=value, limit=limit, met=value <= limit)
     return table
+
+
+def _speed(volumes: Table) -> list[tuple[str, float, float]]:
+    """Targets of speed on each real volume: what, value, limit."""
+    found = []
+    for volume in dict.fromkeys(row["volume"] for row in volumes.where()):
+        rows = {(row["features"], row["method"]): row for row in volumes.where(volume=volume)}
+        whole = rows.get(("vgg19", "balanced"))
+        for features, method, limit, share in SPEED_TARGETS:
+            row = rows.get((features, method))
+            if row:
+                found.append((f"{volume}: {features} {method}, seconds a slice", row["seconds"], limit))
+            if row and whole and share:
+                name = f"{volume}: {features} {method}, time as a share of vgg19 balanced"
+                found.append((name, row["seconds"] / whole["seconds"], share))
+        if whole:
+            found.append((f"{volume}: vgg19 balanced, matching over features", whole["matching_over_features"], 1.0))
+            found.append((f"{volume}: vgg19 balanced, share of colour", whole["colour_share"], COLOUR_SHARE_TARGET))
+    return found
 
 
 def targets(suite: Suite) -> Table:

@@ -13,6 +13,7 @@ from torch.utils.flop_counter import FlopCounterMode
 
 from MedColorLib.bench import (
     pairs,
+    real_volumes,
     run,
     schema,
     slabs,
@@ -489,3 +490,31 @@ def test_peak_memory_is_asked_of_a_real_process(monkeypatch):
     monkeypatch.setattr(peak_memory.sys, "executable", str(Path("no") / "python"))
     with pytest.raises(MedColorError, match="cannot be run"):
         peak_memory.peak_of(4, 16)
+
+
+class TestRealVolumes:
+    def test_a_row_and_its_targets(self, small_raster):
+        """On the phantom: shares add up, and every target of speed follows from the rows."""
+        slab = slabs.load_slabs(None, True)[0]
+        table = Table(real_volumes.COLUMNS)
+        for preset in ("draft", "balanced"):
+            real_volumes.measure(table, slab, "embedded", preset)
+        for row in table.where():
+            stages = [row[f"seconds_{stage}"] for stage in real_volumes.STAGES]
+            assert row["slices"] == 8 and 0 < row["trusted"] <= 1 and row["runs"] == real_volumes.RUNS
+            assert row["colour_share"] == pytest.approx(stages[2] / sum(stages), abs=1e-4)
+            assert row["matching_over_features"] == pytest.approx(stages[1] / stages[0], rel=1e-4)
+        whole = dict(zip(table.columns, table.rows[1])) | {"features": "vgg19", "seconds": 1.0, "colour_share": 0.2}
+        table.add(**whole)
+        suite = Suite({"volumes": table})
+        found = {row["target"]: row for row in all_targets({"profile": suite}).where()}
+        assert found["phantom: vgg19 balanced, seconds a slice"]["met"] is True
+        assert found["phantom: vgg19 balanced, share of colour"]["met"] is False
+        share = found["phantom: embedded balanced, time as a share of vgg19 balanced"]
+        assert share["value"] == pytest.approx(table.rows[1][table.columns.index("seconds")]) and share["limit"] == 0.25
+        assert "phantom: vgg19 draft, seconds a slice" not in found
+
+    def test_without_the_volumes_it_says_so(self):
+        suite = Suite({})
+        real_volumes.run(suite, None, lambda _fraction: None)
+        assert not suite.tables and "speed on real volumes" in suite.failures[0][0]
