@@ -12,7 +12,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-MOST_BYTES = 1 << 27  # of a block; two are kept, one for slices that are matched, one for those that are coloured later
+MOST_BYTES = 1 << 25  # of a block; two are kept, one for slices that are matched, one for those that are coloured later
 _KEPT = 2
 
 
