@@ -1,26 +1,34 @@
 """MedColor: grey medical volumes in the colours of real anatomy. Headless library; the Slicer module is in `MedColor/`.
 
-The data's way, one file a stage, one folder a choice of alternatives:
+The data's way, from top to bottom; a folder imports from those below it, never from one above. A file is one stage, a folder
+holds the files of one stage or the choice of alternatives:
 
-| stage | file | takes -> gives |
+| stage | where | takes -> gives |
 | --- | --- | --- |
-| volume in | `volume_io`, `volume` | file -> `Volume` (k, j, i) with its place in space |
-| slices | `slices`, `planes`, `body`, `intensity`, `reference`, `grid` | volume -> slices, body, display grey on one raster |
-| references | `references`, `color_sections`, `library`, `visible_human` | picture, folder, colour volume -> `Reference`s |
-| tissue guard | `guard`, `label_picture` | label volume, label pictures -> groups that matching and colour do not cross |
-| choice of references | `recommend`, `assignment` | likeness of descriptors -> a reference for each slice |
-| plan | `prepare`, `plan` | what will be done, what is left out and why |
-| orientation | `orientation`, `coarse` | which way up a photograph lies |
-| contrast | `contrast`, `coarse` | scan's grey -> the photograph's contrast, for matching only |
+| command line | `cli/` | words -> one of the calls below; the demo |
+| cohorts | `cohort/` | folder of volumes -> folder of results; processes, Dask |
+| benchmark | `bench/` | -> tables, pictures and a page of error, time and stability |
+| the map | `pipeline` | volume, references, settings -> `ColorVolume`: one call per stage |
+| run | `run/prepare`, `run/engine`, `run/paint` | plan, and what is left out; batches of slices matched, then painted |
+| interruption | `run/resume` | matches of an unfinished run, kept on disk |
+| forecast | `run/estimate`, `run/expected_error` | time and error to expect |
+| colour | `coloring/transfer`, `coloring/coherence` | T', the scan's luminance, evidence of neighbours -> sRGB slice |
+| which way up | `matching/orientation`, `matching/coarse` | how a photograph lies |
+| contrast | `matching/contrast` | scan's grey -> the photograph's contrast, for matching only |
+| correspondence | `matching/analogy`, `matching/reconstruction` | maps -> field, coarse to fine |
+| search, vote | `matching/fields/`, `matching/vote` | maps -> nearest-neighbour field -> matched colours T' |
+| confidence | `matching/confidence` | there and back, and likeness -> how far a match counts |
+| choice of references | `matching/recommend`, `matching/assignment`, `matching/blending` | likeness -> references of each slice |
+| tissue guard | `matching/tissue_guard` | labels -> groups that matching and colour do not cross |
+| references | `references/` | picture, folder, colour volume, library -> `Reference`s |
+| volume in, out | `io/` | file -> `Volume` (k, j, i) with its place in space; `ColorVolume` -> file |
+| scan | `scan/` | volume -> slices, body, display grey on one raster |
 | features | `features/` | grey slice -> five maps |
-| correspondence | `correspondence/`, `analogy`, `reconstruction`, `vote` | maps -> field -> matched colours T' |
-| confidence | `confidence` | there and back, and likeness -> how far a match counts |
-| colour | `color/`, `filters/`, `transfer` | T' and the scan's luminance -> sRGB slice |
-| coherence | `coherence`, `blending`, `paint` | evidence of neighbouring slices and references -> one colour |
-| volume out | `volume_io`, `report` | `ColorVolume` -> NRRD or NIfTI, JSON report |
+| smoothers | `filters/` | picture, guide -> smooth picture |
+| colour spaces | `color/` | sRGB, L*a*b*, differences, gamut |
 | rendering | `rendering/` | `ColorVolume` -> pictures |
-| interruption | `resume` | matches of an unfinished run, kept on disk |
-| cohorts | `batch`, `batch_workers` | folder of volumes -> folder of results; processes, Dask |
+| words | `volume`, `parameters`, `plan`, `progress`, `report`, `device`, `errors` | what every stage speaks of |
+| sample | `phantom` | a head by formula, and a colour section of it |
 
 `pipeline.colorize` is the map: one call per stage. Nothing heavy is imported until it is used.
 
@@ -37,20 +45,20 @@ __version__ = "0.1.0"
 
 _WHERE = {
     "ColorVolume": "volume",
-    "Guard": "guard",
+    "Guard": "matching.tissue_guard",
     "Plan": "plan",
-    "Resume": "resume",
+    "Resume": "run.resume",
     "Settings": "parameters",
     "Volume": "volume",
     "colorize": "pipeline",
     "fast_global_smoother": "filters",
-    "forget_run": "resume",
+    "forget_run": "run.resume",
     "make_plan": "pipeline",
-    "read_color_volume": "volume_io",
-    "read_volume": "volume_io",
-    "run_batch": "batch",
-    "write_color_volume": "volume_io",
-    "write_confidence": "volume_io",
+    "read_color_volume": "io.files",
+    "read_volume": "io.files",
+    "run_batch": "cohort.batch",
+    "write_color_volume": "io.files",
+    "write_confidence": "io.files",
 }
 
 __all__ = list(_WHERE)

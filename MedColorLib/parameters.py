@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, fields, replace
 
 from .errors import SettingsError
 
-FEATURES = ("auto", "vgg19", "gray-vgg19", "embedded")
+FEATURES = ("auto", "embedded", "vgg19", "gray-vgg19")
 AVERAGING = ("fgs", "domain-transform", "wls")  # weights of one sign: S(w d) / S(w) stays between the values of d
 SMOOTHERS = ("auto", "regression", "fgs", "guided", "domain-transform", "wls")
 LUMINANCE = ("keep", "paper")

@@ -15,15 +15,15 @@ from .device import memory_errors
 from .errors import DeviceError
 from .parameters import Settings
 from .plan import LeftOut, Plan
-from .prepare import Prepared, prepare
 from .progress import Progress, Run
+from .run.prepare import Prepared, prepare
 from .volume import ColorVolume, Volume
 
 if TYPE_CHECKING:
-    from .engine import Engine
-    from .guard import Guard
-    from .paint import Painter
-    from .resume import Resume, RunStore
+    from .matching.tissue_guard import Guard
+    from .run.engine import Engine
+    from .run.paint import Painter
+    from .run.resume import Resume, RunStore
 
 log = logging.getLogger("MedColor")
 
@@ -36,7 +36,7 @@ def make_plan(
     guard: Guard | None = None,
 ) -> Plan:
     """What `colorize` would do with these arguments, and what it would leave out; takes seconds at most."""
-    from .resume import open_store
+    from .run.resume import open_store
 
     prepared = prepare(volume, references, settings or Settings(), find_device=bool(resume), guard=guard)
     store = open_store(prepared, resume)
@@ -76,8 +76,8 @@ def colorize(
         InputError, SettingsError, WeightsError, DeviceError: with the remedy in the message.
         Cancelled: nothing was written.
     """
-    from .engine import Engine
-    from .resume import open_store
+    from .run.engine import Engine
+    from .run.resume import open_store
 
     run = Run(progress, cancelled)
     with run.timed("prepare"):
@@ -118,7 +118,7 @@ def _color_slices(
     prepared: Prepared, engine: Engine, rgb: np.ndarray, confidence: np.ndarray | None, run: Run
 ) -> Painter:
     """Fill `rgb` (k, j, i, 3) and, where it is wanted, `confidence` (k, j, i)."""
-    from .paint import Painter, side_by_side
+    from .run.paint import Painter, side_by_side
 
     view = prepared.order.view
     stacks = view(rgb), None if confidence is None else view(confidence)

@@ -1,4 +1,4 @@
-"""Stage *volume*: what every other stage takes and gives. No file formats here (`volume_io`), no scene (`MedColor/`)."""
+"""Stage *volume*: what every other stage takes and gives. No file formats here (`io/`), no scene (`MedColor/`)."""
 
 from __future__ import annotations
 

@@ -4,6 +4,7 @@ scene         MRML nodes <-> arrays and geometry; result node; copies, never bor
 references    pictures: files, folders, colour volumes, arrays
 rendering     volume rendering of a result: opacity, shading, shader
 rendering_guard   repairs it after presets and re-opened scenes
+rendering_show    shows a result, watched over by the guard
 comparison    grey and colour side by side
 parameters    parameter node behind the panel, and the library settings it stands for
 logic         validate, run, publish; no widgets, no message boxes

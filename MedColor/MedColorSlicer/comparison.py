@@ -5,7 +5,7 @@ from __future__ import annotations
 import slicer
 import vtk
 
-from . import rendering
+from . import rendering, rendering_show
 
 _GREY_ATTRIBUTE = "MedColor.Grey"  # on the grey display node: MedColor made it and may set its curves
 _LAYOUT_ATTRIBUTE = "MedColor.EarlierLayout"  # on the layout node, while the comparison is shown
@@ -21,10 +21,10 @@ def show(grey_node, color_node, fade: float = 0.5):
         layout.SetViewArrangement(layout.SlicerLayoutDual3DView)
     views = [scene.GetSingletonNode(name, "vtkMRMLViewNode") for name in ("1", "2")]
     if None in views:
-        rendering.show(color_node)
+        rendering_show.show(color_node)
         return None
     color_view, grey_view = views
-    rendering.show(color_node, [color_view])
+    rendering_show.show(color_node, [color_view])
     _show_grey(grey_node, grey_view, color_node)
     _link_cameras(scene, color_view, grey_view)
     return color_view, grey_view

@@ -10,7 +10,7 @@ import slicer
 from slicer.i18n import tr as _
 from slicer.ScriptedLoadableModule import ScriptedLoadableModuleLogic
 
-from . import comparison, rendering, scene
+from . import comparison, rendering, rendering_show, scene
 from . import labels as labels_of
 from . import references as references_of
 from .parameters import MedColorParameterNode
@@ -178,7 +178,7 @@ class MedColorLogic(ScriptedLoadableModuleLogic):
         Returns:
             List of (path, score), best first; a score of 1 is a perfect match.
         """
-        from MedColorLib.recommend import recommend
+        from MedColorLib.matching.recommend import recommend
 
         volume = scene.volume_from_node(inputVolume)
         options = {"progress": job.progress, "cancelled": job.cancelled} if job else {}
@@ -201,7 +201,7 @@ class MedColorLogic(ScriptedLoadableModuleLogic):
         image = volumeNode.GetImageData() if volumeNode else None
         if image is None or image.GetNumberOfScalarComponents() != 3 or image.GetScalarSize() != 1:
             raise InputError(_("Only an RGB volume made by MedColor can be shown this way; colour a volume first."))
-        return rendering.show(volumeNode, viewNodes, opacity)
+        return rendering_show.show(volumeNode, viewNodes, opacity)
 
     def hideVolumeRendering(self, volumeNode) -> None:
         """Hide the 3-D display of a volume; its settings stay."""

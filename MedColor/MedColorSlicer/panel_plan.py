@@ -106,7 +106,7 @@ class PlanPart:
 
     def _show(self, plan) -> None:
         """The plan, and the colour error that the benchmark measured with these settings."""
-        from MedColorLib.expected_error import NOT_MEASURED, expected_error
+        from MedColorLib.run.expected_error import NOT_MEASURED, expected_error
 
         error = expected_error(self._settings, plan.features)
         # columns of spaces are for fixed-width type; the panel has none

@@ -11,11 +11,12 @@ from typing import Annotated
 from slicer import vtkMRMLDisplayableNode, vtkMRMLScalarVolumeNode, vtkMRMLVectorVolumeNode
 from slicer.parameterNodeWrapper import Choice, WithinRange, parameterNodeWrapper
 
+from MedColorLib import parameters as library
+
 REFERENCE_SOURCES = ["recommended", "files", "node", "sample"]
-PRESETS = ["draft", "balanced", "full"]
-FEATURES = ["auto", "embedded", "vgg19", "gray-vgg19"]
-SMOOTHERS = ["auto", "regression", "fgs", "guided", "domain-transform", "wls"]
-LUMINANCES = ["keep", "paper"]
+PRESETS, FEATURES, SMOOTHERS, LUMINANCES = map(
+    list, (library.PRESETS, library.FEATURES, library.SMOOTHERS, library.LUMINANCE)
+)
 GAMMAS = {"auto": None, "on": True, "off": False}
 DEVICES = ["auto", "cpu", "cuda", "mps"]
 

@@ -58,36 +58,6 @@ def display_node_of(volume_node):
     return None
 
 
-def show(volume_node, view_nodes=None, opacity: float | None = None):
-    """Show an RGB volume in 3-D; creates the display the first time, and keeps what the user set after that.
-
-    Args:
-        volume_node: vtkMRMLVectorVolumeNode with three uint8 components.
-        view_nodes: 3-D view nodes to show it in; None: every view, also those created later.
-        opacity: 0..1; None keeps the present one.
-
-    Returns:
-        The display node.
-    """
-    display = _gpu_display_node(volume_node)
-    with slicer.util.NodeModify(display):
-        if view_nodes is not None:
-            display.RemoveAllViewNodeIDs()
-            for view in view_nodes:
-                display.AddViewNodeID(view.GetID())
-        if display.GetAttribute(OPACITY_ATTRIBUTE) is None or not has_medcolor_look(display):
-            reset(volume_node, opacity)
-        else:
-            restore_unsaved(display)
-            if opacity is not None:
-                set_opacity(volume_node, opacity)
-        display.SetVisibility(True)
-    from .rendering_guard import guard_of
-
-    guard_of(volume_node.GetScene()).watch(display)
-    return display
-
-
 def hide(volume_node) -> None:
     """Hide the 3-D display of a volume, if it has one; its settings stay."""
     display = display_node_of(volume_node)
@@ -191,7 +161,7 @@ def measured_axis(volume_node) -> dict:
     return {"range": [low, high], "unit_mm": presets.unit_distance_mm(diagonal_mm)}
 
 
-def _gpu_display_node(volume_node):
+def gpu_display_node(volume_node):
     scene = volume_node.GetScene()
     display = display_node_of(volume_node)
     if display is not None and not display.IsA(DISPLAY_CLASS):  # CPU and multi-volume rendering do not show RGB

@@ -137,8 +137,8 @@ def only_inside(color_volume, region):
 
 
 def stack_of(node, plane: str = "transverse"):
-    """(MedColorLib.slices.SliceOrder, number of slices): the stack that slice numbers refer to."""
-    from MedColorLib.slices import slice_order
+    """(MedColorLib.scan.slices.SliceOrder, number of slices): the stack that slice numbers refer to."""
+    from MedColorLib.scan.slices import slice_order
 
     order = slice_order(ijk_to_world(node), plane)
     return order, node.GetImageData().GetDimensions()[2 - order.axes[0]]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..filters.fgs import lambda_schedule
+from ..filters.fgs_parameters import lambda_schedule
 
 
 def exact_lines(source: np.ndarray, links: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""From a stored result to the table of `MedColorLib.expected_error`:
+"""From a stored result to the table of `MedColorLib.run.expected_error`:
 
 python -m MedColorLib.bench.expected_error_table Testing/Benchmark/results/RESULT.json
 """
@@ -10,7 +10,7 @@ import os
 import sys
 from pathlib import Path
 
-from ..expected_error import TABLE
+from ..run.expected_error import TABLE
 from .schema import check_results
 from .summary import BASELINES
 

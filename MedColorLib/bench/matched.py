@@ -6,14 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..contrast import Contrast
-from ..engine import Engine
-from ..grid import to_grid
-from ..intensity import histogram_match_curve, spreading_curve
-from ..parameters import Settings
-from ..prepare import prepare
-from ..progress import Run
-from ..transfer import (
+from ..coloring.transfer import (
     SliceMatch,
     TransferParameters,
     combine,
@@ -22,6 +15,13 @@ from ..transfer import (
     solve_relation,
     transfer_lab,
 )
+from ..matching.contrast import Contrast
+from ..parameters import Settings
+from ..progress import Run
+from ..run.engine import Engine
+from ..run.prepare import prepare
+from ..scan.grid import to_grid
+from ..scan.intensity import histogram_match_curve, spreading_curve
 from ..volume import Volume
 
 

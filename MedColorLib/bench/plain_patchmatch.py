@@ -1,6 +1,6 @@
 """PatchMatch as Deep Image Analogy uses it (Barnes et al. 2009; Liao et al. 2017, section 4.3), written out: slow and clear.
 
-Independent of `correspondence`, in NumPy, position by position in scan order, for comparison and as an oracle on tiny maps.
+Independent of `matching.fields`, in NumPy, position by position in scan order, for comparison and as an oracle on tiny maps.
 A position takes over its left and upper neighbours' matches moved by one (right and lower ones on the way back), then tries
 chance positions around its best match in a window that is halved until it is a pixel.
 """

@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from io import BytesIO
 
+from . import plots_suites
+from .figures import COLORS, MARKERS, figure_of, png_of
 from .suite_smoothing import IMPLEMENTATIONS, SCENES
 from .summary import own_variant
 from .tables import Suite, Table
 
-# Okabe and Ito's palette: told apart by everybody
-COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-MARKERS = "osD^vPX"
 _PANELS = ("as it is", "strong", "inverted")
 _FLOOR = 1e-6  # where an error of zero is drawn on a logarithmic axis
 
 
 def draw_all(suites: dict[str, Suite]) -> dict[str, bytes]:
     """PNG by name, for the suites that were run."""
-    from . import plots_suites
-
     plots: dict[str, tuple[str, Callable[[Suite], bytes]]] = {
         "pipeline": ("pipeline", _pipeline),
         "smoothing": ("smoothing", _smoothing),
@@ -30,20 +26,6 @@ def draw_all(suites: dict[str, Suite]) -> dict[str, bytes]:
         "scaling": ("scaling", plots_suites.scaling),
     }
     return {name: draw(suites[suite]) for name, (suite, draw) in plots.items() if suite in suites}
-
-
-def figure_of(columns: int, width: float = 4.6, height: float = 4.4):
-    """An empty figure and its axes in a row, both of which are logarithmic."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(width * columns, height), dpi=110, layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.subplots(1, columns, squeeze=False, sharey=True)[0]
-    for axis in axes:
-        axis.set(xscale="log", yscale="log")
-        axis.grid(True, which="both", alpha=0.25)
-    return figure, axes
 
 
 def _finished(figure, axes, plain_errors: bool = True) -> bytes:
@@ -61,13 +43,6 @@ def _finished(figure, axes, plain_errors: bool = True) -> bytes:
             side.set_minor_formatter(NullFormatter())
         axis.tick_params(labelsize=8)
     return png_of(figure)
-
-
-def png_of(figure) -> bytes:
-    """The figure as a PNG file."""
-    stream = BytesIO()
-    figure.savefig(stream, format="png")
-    return stream.getvalue()
 
 
 def _bars(row: dict) -> list[list[float]]:

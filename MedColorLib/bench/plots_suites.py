@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .plots import COLORS, MARKERS, figure_of, png_of
+from .figures import COLORS, MARKERS, figure_of, png_of
 from .suite_profile import PER_SLICE
 from .tables import Suite
 

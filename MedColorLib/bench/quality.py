@@ -8,7 +8,7 @@ import numpy as np
 
 from ..color.difference import ciede2000
 from ..color.lab import gray_to_lightness, lightness_to_gray
-from ..intensity import apply_curve, histogram_match_curve
+from ..scan.intensity import apply_curve, histogram_match_curve
 from .pairs import Pair
 
 _PATCH = 16

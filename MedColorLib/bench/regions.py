@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import MedColorError
-from ..grid import choose_grid, to_grid
 from ..progress import Progress
+from ..scan.grid import choose_grid, to_grid
 from ..volume import Volume
 from .matched import Matched
 from .pairs import SIZE_PX, Section
@@ -29,7 +29,7 @@ _NEIGHBOURS = 2  # slices on either side: the body is found in three dimensions
 
 def load_ct(folder: Path | None) -> Volume | None:
     """The slab around the slice, or None where the file is not there."""
-    from ..volume_io import read_volume
+    from ..io.files import read_volume
 
     if folder is None or not (folder / CT_FILE).is_file():
         return None

@@ -11,8 +11,8 @@ from ..color.difference import ciede2000
 from ..color.lab import srgb_to_lab
 from ..errors import MedColorError
 from ..parameters import Settings
-from ..prepare import Prepared, prepare
 from ..progress import Progress
+from ..run.prepare import Prepared, prepare
 from ..volume import Volume
 from .pairs import SECTIONS
 from .regions import CT_FILE
@@ -41,8 +41,8 @@ class Slab:
 
 def load_slabs(data: Path | None, quick: bool) -> list[Slab]:
     """A slab of the phantom, and in a full run slabs of the real CT and MR where they are."""
+    from ..io.files import read_volume
     from ..phantom import sample
-    from ..volume_io import read_volume
 
     volume, reference = sample()
     found = [Slab("phantom", _cut(volume, (20, 28) if quick else (12, 36)), reference)]

@@ -16,7 +16,7 @@ from ..color import (
     lightness_to_gray,
     srgb_to_lab,
 )
-from ..intensity import (
+from ..scan.intensity import (
     Window,
     apply_curve,
     apply_window,
@@ -25,7 +25,7 @@ from ..intensity import (
     histogram_match_curve,
     spreading_curve,
 )
-from .stability import REFUSED, Case, at_most, holds, refuses
+from .case import REFUSED, Case, at_most, holds, refuses
 
 
 def cases() -> Iterator[Case]:

@@ -14,8 +14,8 @@ from ..filters import (
     regression,
     smooth,
 )
+from .case import REFUSED, Case, at_most, holds, refuses
 from .exact_smoothing import exact_fgs, exact_lines
-from .stability import REFUSED, Case, at_most, holds, refuses
 
 LAMBDAS = (0.0, 1e-3, 1.0, 32.0, 1e3, 1e5, 1e7, 1e9, 1e12)
 SIGMAS = (1e-6, 1e-3, 1.0, 1e3, 1e6)  # relative to the guide's range

@@ -7,11 +7,11 @@ from collections.abc import Iterator
 import torch
 from torch import Tensor
 
-from ..analogy import deep_image_analogy, response_weight, unit
-from ..correspondence import exact, patchmatch, windowed
-from ..correspondence.field import average_vote, identity, upsample
 from ..features.embedded import Embedded
-from .stability import Case, at_most, holds
+from ..matching.analogy import deep_image_analogy, response_weight, unit
+from ..matching.fields import exact, patchmatch, windowed
+from ..matching.fields.field import average_vote, identity, upsample
+from .case import Case, at_most, holds
 
 _SIDE = 24
 

@@ -11,7 +11,7 @@ from ..parameters import Settings
 from ..phantom import TISSUES, labels, section
 from ..pipeline import colorize
 from ..volume import ColorVolume, Volume
-from .stability import REFUSED, Case, holds, refuses
+from .case import REFUSED, Case, holds, refuses
 
 _SETTINGS = Settings(preset="draft", features="embedded", device="cpu")
 _SHAPE = (3, 48, 40)

@@ -10,11 +10,11 @@ import torch
 from torch import Tensor
 from torch.nn.functional import avg_pool2d, unfold
 
-from ..analogy import PATCH_RADIUS, SEARCH_RADIUS, unit
 from ..color.lab import lightness_to_gray
-from ..correspondence import exact, patchmatch, windowed
-from ..correspondence.field import upsample
 from ..features import Extractor
+from ..matching.analogy import PATCH_RADIUS, SEARCH_RADIUS, unit
+from ..matching.fields import exact, patchmatch, windowed
+from ..matching.fields.field import upsample
 from ..progress import Progress
 from .pairs import SIZE_PX, Pair, Section, make_pair
 from .tables import TIME_COLUMNS, Suite, Table, timed

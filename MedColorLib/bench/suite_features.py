@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from ..analogy import PATCH_RADIUS, unit
 from ..color.lab import lightness_to_gray
-from ..correspondence import exact
 from ..features.vgg19 import VGG19
 from ..features.weights import find_weights, load_weights
+from ..matching.analogy import PATCH_RADIUS, unit
+from ..matching.fields import exact
 from ..progress import Progress
 from .pairs import Section, make_pair
 from .tables import TIME_COLUMNS, Suite, Table, timed

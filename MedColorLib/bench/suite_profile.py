@@ -10,17 +10,17 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from .. import analogy, vote
-from ..correspondence import exact
-from ..engine import Engine
 from ..features import CONTEXT_WEIGHTS
 from ..features.weights import find_weights, load_weights
-from ..paint import Painter, side_by_side
+from ..io.files import write_color_volume
+from ..matching import analogy, vote
+from ..matching.fields import exact
 from ..parameters import Settings
-from ..prepare import Prepared, prepare
 from ..progress import Progress, Run
+from ..run.engine import Engine
+from ..run.paint import Painter, side_by_side
+from ..run.prepare import Prepared, prepare
 from ..volume import ColorVolume, Volume
-from ..volume_io import write_color_volume
 from . import real_volumes, suite_pipeline, work
 from .machine import Machine, measure_machine
 from .pairs import Section, make_pair

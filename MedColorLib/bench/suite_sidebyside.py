@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from ..analogy import PATCH_RADIUS, SEARCH_RADIUS
-from ..correspondence import exact
-from ..correspondence.field import upsample
 from ..features import make_extractor
 from ..filters import domain_transform, fgs, guided
+from ..matching.analogy import PATCH_RADIUS, SEARCH_RADIUS
+from ..matching.fields import exact
+from ..matching.fields.field import upsample
 from ..progress import Progress
 from .pairs import Section, make_pair
 from .plain_patchmatch import plain_patchmatch

@@ -19,7 +19,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from ..analogy import PATCH_RADIUS
+from ..matching.analogy import PATCH_RADIUS
 
 _CHANNELS, _DEPTHS = (64, 128, 256, 512, 512), (2, 2, 4, 4, 1)
 

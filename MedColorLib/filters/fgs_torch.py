@@ -20,7 +20,7 @@ import torch
 
 from ..errors import InputError
 from .checks import bad_values_error
-from .fgs import FgsParameters, lambda_schedule
+from .fgs_parameters import FgsParameters, lambda_schedule
 
 _LARGE = 2.0**90  # float32 sources above this are scaled by a power of two: loads add up to the line's length
 _LARGE_GUIDE = 2.0**500  # float64 guides above this likewise: distances square the differences

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..errors import InputError, SettingsError
-from ..intensity import apply_window, choose_window
+from ..scan.intensity import apply_window, choose_window
 from ..volume import ColorVolume, Volume
 from .surface import MARGIN, surface_rgba
 

@@ -8,13 +8,13 @@ import pytest
 import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 
-from MedColorLib import analogy
-from MedColorLib.analogy import BLEND_ALPHA, Context, deep_image_analogy, response_weight, unit
-from MedColorLib.confidence import consistency
-from MedColorLib.correspondence.field import identity
 from MedColorLib.device import fast_dtype
-from MedColorLib.reconstruction import deconvolve, make_reconstruction
-from MedColorLib.vote import matched_colors
+from MedColorLib.matching import analogy
+from MedColorLib.matching.analogy import BLEND_ALPHA, Context, deep_image_analogy, response_weight, unit
+from MedColorLib.matching.confidence import consistency
+from MedColorLib.matching.fields.field import identity
+from MedColorLib.matching.reconstruction import deconvolve, make_reconstruction
+from MedColorLib.matching.vote import matched_colors
 
 SHAPE = (48, 64)
 

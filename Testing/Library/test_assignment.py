@@ -5,7 +5,7 @@ from itertools import combinations_with_replacement
 import numpy as np
 import pytest
 
-from MedColorLib.assignment import assign, monotone
+from MedColorLib.matching.assignment import assign, monotone
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 5), (4, 1), (3, 4), (5, 3), (6, 4)])
@@ -55,10 +55,10 @@ def test_a_set_without_order_is_free():
 def test_sections_of_the_phantom_find_their_level():
     """A series of colour sections at known heights; every slice takes one within a step of its own height."""
     from MedColorLib import Settings
-    from MedColorLib.engine import Engine
     from MedColorLib.phantom import sample, section
-    from MedColorLib.prepare import prepare
     from MedColorLib.progress import Run
+    from MedColorLib.run.engine import Engine
+    from MedColorLib.run.prepare import prepare
 
     levels = np.linspace(-0.9, 0.8, 8)
     volume, _ = sample()
@@ -85,10 +85,10 @@ def photographed(grey, mask, rng):
 def head(request):
     """Greys and masks of the real head's slices on the raster, by slice number."""
     from MedColorLib import read_volume
-    from MedColorLib.body import find_body
-    from MedColorLib.grid import choose_grid
-    from MedColorLib.intensity import choose_window
-    from MedColorLib.slices import slice_on_grid, slice_order
+    from MedColorLib.scan.body import find_body
+    from MedColorLib.scan.grid import choose_grid
+    from MedColorLib.scan.intensity import choose_window
+    from MedColorLib.scan.slices import slice_on_grid, slice_order
 
     volume = read_volume(request.getfixturevalue("shared_data") / "vhf_head_ct.nrrd")
     view = slice_order(volume.ijk_to_ras).view(volume.array)
@@ -132,12 +132,12 @@ def test_a_real_stack_whose_order_is_known(head, request, monkeypatch, rng, stac
 @pytest.mark.parametrize("stack", ["whole", "reversed", "part of the series"])
 def test_a_stack_made_by_formula_whose_order_is_known(rng, stack):
     """As above with the phantom: 24 slices 8 mm apart, references 16 mm apart."""
-    from MedColorLib.body import find_body
     from MedColorLib.features import make_extractor, unit_descriptors
-    from MedColorLib.grid import choose_grid
-    from MedColorLib.intensity import Window
     from MedColorLib.phantom import sample
-    from MedColorLib.slices import slice_on_grid, slice_order
+    from MedColorLib.scan.body import find_body
+    from MedColorLib.scan.grid import choose_grid
+    from MedColorLib.scan.intensity import Window
+    from MedColorLib.scan.slices import slice_on_grid, slice_order
 
     volume, _ = sample()
     view = slice_order(volume.ijk_to_ras).view(volume.array)

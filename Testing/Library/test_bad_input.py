@@ -11,7 +11,7 @@ import torch
 from volume_samples import save_nrrd
 
 from MedColorLib import Settings, Volume, colorize
-from MedColorLib.cli import main
+from MedColorLib.cli.main import main
 from MedColorLib.device import choose_device, memory_errors
 from MedColorLib.errors import Cancelled, DeviceError, InputError, MedColorError, SettingsError
 from MedColorLib.volume import ColorVolume

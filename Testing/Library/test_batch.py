@@ -20,13 +20,16 @@ import pytest
 from batch_work import work
 from volume_samples import save_nrrd
 
-from MedColorLib import Settings, batch, batch_workers, colorize, read_color_volume, run_batch, vote
-from MedColorLib.batch import Found, color_file, find_volumes, make_tasks
-from MedColorLib.batch_workers import WorkerLost, run_here, run_on_cluster, run_processes
-from MedColorLib.cli import main
+from MedColorLib import Settings, colorize, read_color_volume, run_batch
+from MedColorLib.cli.main import main
+from MedColorLib.cohort import batch
+from MedColorLib.cohort import workers as batch_workers
+from MedColorLib.cohort.batch import Found, color_file, find_volumes, make_tasks
+from MedColorLib.cohort.workers import WorkerLost, run_here, run_on_cluster, run_processes
 from MedColorLib.errors import DeviceError, InputError, MissingPackageError, OutputError, SettingsError
+from MedColorLib.io.files import _READERS, input_sha256
+from MedColorLib.matching import vote
 from MedColorLib.parameters import PRESETS
-from MedColorLib.volume_io import _READERS, input_sha256
 
 ROOT = Path(__file__).resolve().parents[2]
 DRAFT = Settings(preset="draft", features="embedded", device="cpu")

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import torch
 
-from MedColorLib.bench import exact_smoothing, pairs, schema, stability, suite_pipeline
+from MedColorLib.bench import case, exact_smoothing, pairs, schema, stability, suite_pipeline
 from MedColorLib.bench.matched import Matched, Method
 from MedColorLib.bench.page import make_page
 from MedColorLib.bench.quality import baselines, color_errors
@@ -243,18 +243,18 @@ class TestStability:
             raise ZeroDivisionError("division by zero")
 
         def verdict(expected, check, **options):
-            return stability.Case("area", "case", "condition", expected, check, **options).verdict()[1]
+            return case.Case("area", "case", "condition", expected, check, **options).verdict()[1]
 
         assert verdict("1", lambda: (True, "1")) == "pass"
         assert verdict("1", lambda: (False, "2")) == "FAIL"
-        assert verdict(stability.REFUSED, refuse) == "refused"
+        assert verdict(case.REFUSED, refuse) == "refused"
         assert verdict("1", refuse) == "FAIL"
         assert verdict("1", refuse, may_refuse=True) == "refused"
-        assert verdict(stability.REFUSED, stability.refuses(lambda: None)) == "FAIL"
-        assert verdict(stability.REFUSED, lambda: (True, "1")) == "FAIL"
+        assert verdict(case.REFUSED, case.refuses(lambda: None)) == "FAIL"
+        assert verdict(case.REFUSED, lambda: (True, "1")) == "FAIL"
         assert verdict("1", warn) == "FAIL"
         assert verdict("1", crash) == "FAIL"
-        assert verdict("small", stability.at_most(lambda: float("nan"), 1.0)) == "FAIL"
+        assert verdict("small", case.at_most(lambda: float("nan"), 1.0)) == "FAIL"
 
     def test_threads_are_given_back(self):
         before = torch.get_num_threads()

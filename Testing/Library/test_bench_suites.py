@@ -32,12 +32,12 @@ from MedColorLib.bench.quality import baselines, color_errors, color_spill, dark
 from MedColorLib.bench.stopwatch import Stopwatch
 from MedColorLib.bench.summary import ERROR_TARGETS, all_targets, own_variant
 from MedColorLib.bench.tables import Suite, Table
-from MedColorLib.cli import main
-from MedColorLib.correspondence import exact, patchmatch, windowed
+from MedColorLib.cli.main import main
 from MedColorLib.errors import InputError, MedColorError, SettingsError
+from MedColorLib.matching.fields import exact, patchmatch, windowed
 from MedColorLib.parameters import PRESETS, Settings
 from MedColorLib.phantom import sample, section
-from MedColorLib.prepare import prepare
+from MedColorLib.run.prepare import prepare
 
 
 @pytest.fixture(scope="module")
@@ -219,7 +219,7 @@ class TestCoherence:
         assert table.where()[0]["ratio"] > 1.5
 
     def test_slabs_keep_their_place(self, shared_data):
-        from MedColorLib.volume_io import read_volume
+        from MedColorLib.io.files import read_volume
 
         slab = slabs.load_slabs(shared_data, False)[1]
         whole = read_volume(shared_data / "vhf_head_ct.nrrd")

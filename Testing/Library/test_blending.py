@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter
 
 from MedColorLib import Settings, Volume, colorize, make_plan
-from MedColorLib.blending import blended, neighbours
 from MedColorLib.color.lab import srgb_to_lab
-from MedColorLib.confidence import Trust
+from MedColorLib.matching.blending import blended, neighbours
+from MedColorLib.matching.confidence import Trust
 from MedColorLib.phantom import TISSUES, labels, section
 
 
@@ -115,7 +115,7 @@ def test_no_seam_where_the_reference_changes(monkeypatch):
     result = colorize(volume, series, settings)
     assert result.report["references_assigned"] == "along the series" and result.report["blended_slices"]
     blended_jumps, elsewhere = jumps(result, anatomy)
-    monkeypatch.setattr("MedColorLib.engine.neighbours", lambda choice: {})
+    monkeypatch.setattr("MedColorLib.run.engine.neighbours", lambda choice: {})
     plain_jumps, plain_elsewhere = jumps(colorize(volume, series, settings), anatomy)
     assert np.median(plain_jumps) > 5 * np.median(plain_elsewhere)
     assert np.median(blended_jumps) < 3 * np.median(elsewhere)

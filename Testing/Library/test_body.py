@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.ndimage import binary_fill_holes
 
-from MedColorLib.body import find_body, otsu_threshold
 from MedColorLib.errors import InputError
 from MedColorLib.phantom import labels, sample
+from MedColorLib.scan.body import find_body, otsu_threshold
 
 
 def dice(body, truth: np.ndarray) -> float:

@@ -14,9 +14,10 @@ import numpy as np
 import pytest
 from volume_samples import save_nrrd
 
-from MedColorLib import __version__, phantom, read_color_volume, read_volume, rendering, vote
-from MedColorLib.cli import main
+from MedColorLib import __version__, phantom, read_color_volume, read_volume, rendering
+from MedColorLib.cli.main import main
 from MedColorLib.errors import DeviceError, WeightsError
+from MedColorLib.matching import vote
 from MedColorLib.parameters import Settings
 
 pytestmark = pytest.mark.usefixtures("small_raster", "without_weights")

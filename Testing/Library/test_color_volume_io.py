@@ -16,10 +16,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from volume_samples import GEOMETRIES, LPS, SHAPE, geometry, save_nrrd, voxels
 
-from MedColorLib import volume_io
 from MedColorLib.errors import InputError, OutputError
+from MedColorLib.io import files as volume_io
+from MedColorLib.io.files import check_output_path, read_color_volume, write_color_volume
 from MedColorLib.volume import ColorVolume
-from MedColorLib.volume_io import check_output_path, read_color_volume, write_color_volume
 
 
 @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -164,12 +164,13 @@ def test_interruption_leaves_nothing(ending, library, function, tmp_path: Path, 
 
 def test_killed_process_leaves_no_file_of_the_final_name(tmp_path: Path) -> None:
     program = (
-        "import os, nrrd, numpy as np; from MedColorLib import volume_io; from MedColorLib.volume import ColorVolume\n"
+        "import os, nrrd, numpy as np\n"
+        "from MedColorLib.io import files as volume_io; from MedColorLib.volume import ColorVolume\n"
         "nrrd.write = lambda path, *a, **k: (open(path, 'wb').write(b'half'), os.kill(os.getpid(), 9))\n"
         "volume = ColorVolume(np.zeros((2, 2, 2, 3), 'u1'), np.eye(4))\n"
         f"volume_io.write_color_volume(volume, {str(tmp_path / 'a.nrrd')!r})"
     )
-    root = Path(volume_io.__file__).parents[1]
+    root = Path(volume_io.__file__).parents[2]
     done = subprocess.run([sys.executable, "-c", program], cwd=root, check=False)
     assert done.returncode == -9
     assert not (tmp_path / "a.nrrd").exists()

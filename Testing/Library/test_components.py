@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import torch
 
-from MedColorLib import analogy
 from MedColorLib.features.components import PROJECTED_LAYERS, kept_energy, principal_components, project
+from MedColorLib.matching import analogy
 from MedColorLib.parameters import PRESETS, Settings
-from MedColorLib.prepare import prepare
+from MedColorLib.run.prepare import prepare
 from MedColorLib.volume import Volume
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import torch
 
-from MedColorLib.analogy import unit
-from MedColorLib.confidence import (
+from MedColorLib.matching.analogy import unit
+from MedColorLib.matching.confidence import (
     GREY_BELOW,
     HOME_POSITIONS,
     Trust,
@@ -20,7 +20,7 @@ from MedColorLib.confidence import (
     saturation,
     trust_of,
 )
-from MedColorLib.correspondence.field import identity
+from MedColorLib.matching.fields.field import identity
 
 
 def test_distance_of_the_way_back_by_loops():

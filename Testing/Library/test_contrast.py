@@ -7,11 +7,11 @@ import math
 import numpy as np
 import pytest
 
-from MedColorLib.contrast import Contrast, coarse_luminance, match_contrast, regression_curve
-from MedColorLib.grid import choose_grid
-from MedColorLib.intensity import histogram_match_curve
+from MedColorLib.matching.contrast import Contrast, coarse_luminance, match_contrast, regression_curve
 from MedColorLib.phantom import section
-from MedColorLib.reference import on_grid, prepare_reference
+from MedColorLib.references.photograph import on_grid, prepare_reference
+from MedColorLib.scan.grid import choose_grid
+from MedColorLib.scan.intensity import histogram_match_curve
 
 
 @pytest.fixture(scope="module")

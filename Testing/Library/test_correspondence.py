@@ -7,10 +7,10 @@ from itertools import product
 import pytest
 import torch
 
-from MedColorLib.correspondence import exact, patchmatch, windowed
-from MedColorLib.correspondence.field import average_vote, identity, upsample, warp
-from MedColorLib.correspondence.patchmatch import patch_similarity
-from MedColorLib.vote import matched_colors
+from MedColorLib.matching.fields import exact, patchmatch, windowed
+from MedColorLib.matching.fields.field import average_vote, identity, upsample, warp
+from MedColorLib.matching.fields.patchmatch import patch_similarity
+from MedColorLib.matching.vote import matched_colors
 
 
 def features(count, height, width, channels=5, seed=0):

@@ -10,8 +10,8 @@ import pytest
 import SimpleITK as sitk
 
 from MedColorLib.errors import InputError
+from MedColorLib.io.files import read_volume
 from MedColorLib.volume import Volume
-from MedColorLib.volume_io import read_volume
 
 MR = Path(__file__).resolve().parents[3] / "shared" / "data" / "mr_head_t1_dicom"
 LPS = np.diag([-1.0, -1.0, 1.0])

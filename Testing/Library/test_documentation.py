@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import MedColorLib
-from MedColorLib.cli_options import make_parser
+from MedColorLib.cli.options import make_parser
 
 ROOT = Path(__file__).resolve().parents[2]
 LIBRARY = ROOT / "MedColorLib"

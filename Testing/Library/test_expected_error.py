@@ -12,8 +12,8 @@ from MedColorLib import Settings
 from MedColorLib.bench import expected_error_table
 from MedColorLib.bench.expected_error_table import make_table, to_text
 from MedColorLib.errors import InputError
-from MedColorLib.estimate import Estimate, estimate
-from MedColorLib.expected_error import LEAST_TRUSTED, NOT_MEASURED, TABLE, ExpectedError, expected_error
+from MedColorLib.run.estimate import Estimate, estimate
+from MedColorLib.run.expected_error import LEAST_TRUSTED, NOT_MEASURED, TABLE, ExpectedError, expected_error
 
 RESULTS = Path(__file__).parents[1] / "Benchmark" / "results"
 BALANCED = Settings(preset="balanced", features="embedded", device="cpu")
@@ -114,7 +114,7 @@ def test_command_line_tells_it_before_the_run(ct, tmp_path, capsys):
     import cv2
     from volume_samples import save_nrrd
 
-    from MedColorLib.cli import main
+    from MedColorLib.cli.main import main
 
     save_nrrd(tmp_path / "scan.nrrd", ct.volume.array, ct.volume.ijk_to_ras, encoding="raw")
     cv2.imwrite(str(tmp_path / "section.png"), ct.reference[..., ::-1])

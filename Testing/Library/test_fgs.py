@@ -12,7 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from MedColorLib.errors import InputError, SettingsError
-from MedColorLib.filters.fgs import SCHEDULES, FgsParameters, fast_global_smoother, lambda_schedule
+from MedColorLib.filters.fgs import fast_global_smoother
+from MedColorLib.filters.fgs_parameters import SCHEDULES, FgsParameters, lambda_schedule
 from MedColorLib.filters.fgs_torch import fgs_torch
 
 GUIDES = {

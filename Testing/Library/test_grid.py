@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from MedColorLib.grid import MARGIN, choose_grid, continue_outwards, from_grid, to_grid
+from MedColorLib.scan.grid import MARGIN, choose_grid, continue_outwards, from_grid, to_grid
 
 SIZES = [(1, 1), (1, 300), (300, 1), (2, 3), (47, 53), (80, 80), (331, 17), (640, 480)]
 INNER = np.s_[MARGIN:-MARGIN, MARGIN:-MARGIN]

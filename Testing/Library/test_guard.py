@@ -14,18 +14,18 @@ import torch
 from volume_samples import save_nrrd
 
 from MedColorLib import Guard, Settings, Volume, colorize, make_plan
-from MedColorLib.cli import main
+from MedColorLib.cli.main import main
 from MedColorLib.color.difference import ciede2000
 from MedColorLib.color.lab import gray_to_lightness, lab_to_srgb, srgb_to_lab
-from MedColorLib.correspondence.field import average_vote, group_vote
-from MedColorLib.engine import ReferenceOnGrid
 from MedColorLib.errors import Cancelled, InputError, SettingsError
-from MedColorLib.estimate import estimate
-from MedColorLib.grid import choose_grid
-from MedColorLib.guard import MOST_GROUPS, colors_on_grid, groups_on_grid
-from MedColorLib.prepare import prepare
-from MedColorLib.reference import on_grid, prepare_reference
-from MedColorLib.resume import run_key
+from MedColorLib.matching.fields.field import average_vote, group_vote
+from MedColorLib.matching.tissue_guard import MOST_GROUPS, colors_on_grid, groups_on_grid
+from MedColorLib.references.photograph import on_grid, prepare_reference
+from MedColorLib.run.engine import ReferenceOnGrid
+from MedColorLib.run.estimate import estimate
+from MedColorLib.run.prepare import prepare
+from MedColorLib.run.resume import run_key
+from MedColorLib.scan.grid import choose_grid
 
 GREY = 0.55  # of both tissues
 BROWN, PINK, GREEN = (20.0, 30.0), (55.0, 5.0), (-50.0, 45.0)  # a*, b*
@@ -148,7 +148,7 @@ class TestColors:
         guard = scene.guard(reference_labels=None)
         plan = make_plan(scene.volume, [scene.picture], settings(), guard=guard)
         assert "no reference has labels, so matching may still cross" in plan.steps["tissue guard"]
-        monkeypatch.setattr("MedColorLib.engine.Engine.match", matches_by_label(scene))
+        monkeypatch.setattr("MedColorLib.run.engine.Engine.match", matches_by_label(scene))
         sharp, blurred = (srgb_to_lab(scene.color(given).rgb)[..., 1] for given in (guard, None))
         assert sharp[scene.labels == INSERT].min() > 50 and sharp[scene.labels == HOST].max() < 25
         assert blurred[scene.labels == INSERT].min() < 45
@@ -165,7 +165,7 @@ def matches_by_label(scene):
     chroma = np.array([(0, 0), BROWN, PINK, GREEN])
 
     def match(engine, ks, _index):
-        from MedColorLib.confidence import Trust
+        from MedColorLib.matching.confidence import Trust
 
         engine.searched = {}
         greys, masks = engine.slices_on_grid(ks)
@@ -392,7 +392,7 @@ class TestParts:
             voted &= groups != 2  # the third group
             return mean * voted[:, None], voted
 
-        monkeypatch.setattr("MedColorLib.vote.group_vote", none_for_the_insert)
+        monkeypatch.setattr("MedColorLib.matching.vote.group_vote", none_for_the_insert)
         result = scene.color(scene.guard(), settings(confidence=True))
         assert errors(result, scene.labels)[INSERT] < 1.5
         inside = np.stack([cv2.erode((p == INSERT).astype(np.uint8), np.ones((5, 5))) for p in scene.labels]) > 0

@@ -26,18 +26,8 @@ HEAVY = (
     "tqdm",
     "distributed",
 )
+WITHOUT_EXIT = "import contextlib\nfrom MedColorLib.cli.main import main\nwith contextlib.suppress(SystemExit):"
 HOSTS = {"slicer", "qt", "ctk", "vtkSlicer", "mrml", "PySide6", "MedColor", "MedColorSlicer"}
-ENDS = {
-    "",
-    "cli",
-    "cli_options",
-    "pipeline",
-    "batch",
-    "demo",
-    "estimate",
-    "bench",
-    "__main__",
-}  # they use the stages; no stage uses them
 
 
 def module_of(path: Path) -> str:
@@ -81,11 +71,6 @@ def imports(path: Path):
     return outside, inside
 
 
-def unit(module: str) -> str:
-    """The file or folder right below MedColorLib."""
-    return module.partition(".")[0]
-
-
 GRAPH = {module_of(path): imports(path) for path in FILES}
 
 
@@ -115,9 +100,9 @@ def test_no_host_application(path):
         "import MedColorLib; dir(MedColorLib)",
         "from MedColorLib import Settings, Volume, Plan, colorize, make_plan",
         "from MedColorLib import read_volume, write_color_volume, fast_global_smoother",
-        "from MedColorLib.cli_options import make_parser; make_parser().format_help()",
-        "import contextlib, MedColorLib.cli\nwith contextlib.suppress(SystemExit): MedColorLib.cli.main(['colorize', '--help'])",
-        "import contextlib, MedColorLib.cli\nwith contextlib.suppress(SystemExit): MedColorLib.cli.main(['--version'])",
+        "from MedColorLib.cli.options import make_parser; make_parser().format_help()",
+        f"{WITHOUT_EXIT} main(['colorize', '--help'])",
+        f"{WITHOUT_EXIT} main(['--version'])",
     ],
 )
 def test_nothing_heavy_is_loaded(work):
@@ -145,45 +130,11 @@ def test_a_plan_of_bad_input_does_not_load_torch():
     assert in_fresh_python(code).split() == ["InputError", "False"]
 
 
-@pytest.mark.parametrize("module", sorted(name for name in GRAPH if unit(name) not in ENDS))
-def test_stages_do_not_use_the_ends(module):
-    assert not {unit(name) for name in GRAPH[module][1]} & ENDS
-
-
-@pytest.mark.parametrize(
-    ("folder", "allowed"),
-    [
-        ("color", {"color", "errors"}),
-        ("filters", {"filters", "errors"}),
-        ("correspondence", {"correspondence"}),
-        ("features", {"features", "errors", "device"}),
-        ("rendering", {"rendering", "errors", "volume", "intensity", "volume_io", "color", "slices", "body"}),
-    ],
-)
-def test_folders_of_alternatives_stand_by_themselves(folder, allowed):
-    for module, (_, inside) in GRAPH.items():
-        if unit(module) == folder:
-            assert {unit(name) for name in inside} <= allowed, module
-
-
-def test_no_circle():
-    """Between files and folders of the library; imports inside functions count, too."""
-    graph: dict[str, set[str]] = {}
-    for module, (_, inside) in GRAPH.items():
-        graph.setdefault(unit(module), set()).update(map(unit, inside))
-    done, path = set(), []
-
-    def visit(name: str) -> None:
-        assert name not in path, " -> ".join([*path[path.index(name) :], name])
-        if name not in done:
-            path.append(name)
-            for other in sorted(graph[name] - {name, ""}):
-                visit(other)
-            path.pop()
-            done.add(name)
-
-    for name in sorted(graph):
-        visit(name)
+def test_no_arrow_runs_back_up():
+    """The layers and the ban on circles are contracts of import-linter in pyproject.toml."""
+    linter = Path(sys.executable).with_name("lint-imports")
+    done = subprocess.run([linter, "--no-cache"], capture_output=True, text=True, cwd=ROOT, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
 
 
 def test_public_names_exist():

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from MedColorLib.errors import InputError, SettingsError
-from MedColorLib.intensity import (
+from MedColorLib.scan.intensity import (
     Window,
     apply_curve,
     apply_window,

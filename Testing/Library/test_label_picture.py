@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from MedColorLib.errors import InputError
-from MedColorLib.label_picture import read_label_picture
+from MedColorLib.io.label_picture import read_label_picture
 
 
 class TestLabelPicture:

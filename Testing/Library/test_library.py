@@ -15,14 +15,14 @@ import cv2
 import numpy as np
 import pytest
 
-from MedColorLib import library, visible_human
-from MedColorLib.cli import main
+from MedColorLib.cli.main import main
 from MedColorLib.errors import Cancelled, InputError, OutputError, SettingsError
 from MedColorLib.features import download
 from MedColorLib.phantom import section
-from MedColorLib.reference import prepare_reference
-from MedColorLib.references import load_references
-from MedColorLib.visible_human import check_png, fetch_library, list_photographs, missing_photographs
+from MedColorLib.references import library, visible_human
+from MedColorLib.references.loading import load_references
+from MedColorLib.references.photograph import prepare_reference
+from MedColorLib.references.visible_human import check_png, fetch_library, list_photographs, missing_photographs
 
 NAME = "visible-human-male"
 SHAPE = (132, 124)

@@ -17,11 +17,12 @@ import SimpleITK as sitk
 from scipy import ndimage
 from volume_samples import LPS, save_nrrd
 
-from MedColorLib import ColorVolume, Settings, colorize, dicom_series, read_volume, write_color_volume
-from MedColorLib import body as body_stage
-from MedColorLib.body import _largest_parts, find_body
-from MedColorLib.intensity import choose_window, strided
+from MedColorLib import ColorVolume, Settings, colorize, read_volume, write_color_volume
+from MedColorLib.io import dicom as dicom_series
 from MedColorLib.report import voxels_sha256
+from MedColorLib.scan import body as body_stage
+from MedColorLib.scan.body import _largest_parts, find_body
+from MedColorLib.scan.intensity import choose_window, strided
 
 ROOT = Path(__file__).resolve().parents[2]
 DRAFT = Settings(preset="draft", features="embedded", device="cpu", slices=(2, 5))
@@ -111,7 +112,7 @@ def test_large_dicom_series_lies_in_a_file_without_a_name(limit, tmp_path, monke
 
 def test_dicom_stays_in_memory_where_the_disk_has_no_room(tmp_path, monkeypatch):
     monkeypatch.setattr(dicom_series, "IN_MEMORY", 0)
-    monkeypatch.setattr("MedColorLib.voxel_data.shutil.disk_usage", lambda _: type("Usage", (), {"free": 10})())
+    monkeypatch.setattr("MedColorLib.io.voxel_data.shutil.disk_usage", lambda _: type("Usage", (), {"free": 10})())
     sitk.WriteImage(sitk.GetImageFromArray(np.ones((1, 5, 6), np.int16)), str(tmp_path / "a.dcm"))
     volume = read_volume(tmp_path)
     assert not is_mapped(volume.array) and not any("temporary" in note for note in volume.notes)
@@ -187,7 +188,7 @@ def status(name):
 """
 
 _LIMITED = """
-from MedColorLib.prepare import prepare
+from MedColorLib.run.prepare import prepare
 settings = Settings(preset="draft", features="embedded", device="cpu", slices=(100, 104))
 colorize(sample("ct")[0], [section()], replace(settings, slices=(20, 24)))  # everything is loaded before the limit
 voxels = 512 * 512 * 600

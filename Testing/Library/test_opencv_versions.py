@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from MedColorLib.errors import InputError
-from MedColorLib.picture_volume import quiet_cv2
-from MedColorLib.reference import read_picture
+from MedColorLib.io.pictures import quiet_cv2
+from MedColorLib.references.photograph import read_picture
 
 
 class Log:

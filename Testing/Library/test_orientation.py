@@ -7,8 +7,8 @@ import pytest
 
 from MedColorLib import Settings, Volume, colorize
 from MedColorLib.color.lab import srgb_to_lab
-from MedColorLib.estimate import estimate
-from MedColorLib.orientation import WAYS, choose_way, turned
+from MedColorLib.matching.orientation import WAYS, choose_way, turned
+from MedColorLib.run.estimate import estimate
 
 pytestmark = pytest.mark.usefixtures("small_raster")
 DRAFT = Settings(preset="draft", features="embedded", device="cpu")

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 import torch
 
-from MedColorLib import Settings, colorize, paint
+from MedColorLib import Settings, colorize
 from MedColorLib.bench.peak_memory import tall_phantom
 from MedColorLib.phantom import section
+from MedColorLib.run import paint
 
 
 @contextmanager

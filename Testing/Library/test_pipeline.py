@@ -13,18 +13,19 @@ import pytest
 import torch
 from scipy.ndimage import binary_erosion
 
-from MedColorLib import ColorVolume, Settings, Volume, analogy, colorize, vote
-from MedColorLib.coherence import GUIDE_SIGMA, MOST_SLICES, SliceAverage, frames
+from MedColorLib import ColorVolume, Settings, Volume, colorize
 from MedColorLib.color.difference import ciede2000
 from MedColorLib.color.lab import gray_to_lightness, lightness_to_gray, srgb_to_lab
+from MedColorLib.coloring.coherence import GUIDE_SIGMA, MOST_SLICES, SliceAverage, frames
 from MedColorLib.errors import Cancelled, DeviceError, InputError, OutputError
 from MedColorLib.features import CONTEXT_WEIGHTS
 from MedColorLib.features.embedded import Embedded
-from MedColorLib.grid import choose_grid
+from MedColorLib.matching import analogy, vote
 from MedColorLib.phantom import section
-from MedColorLib.prepare import load_references, prepare
-from MedColorLib.reference import on_grid
+from MedColorLib.references.photograph import on_grid
 from MedColorLib.report import write_report
+from MedColorLib.run.prepare import load_references, prepare
+from MedColorLib.scan.grid import choose_grid
 
 pytestmark = pytest.mark.usefixtures("small_raster")
 
@@ -413,7 +414,7 @@ class TestConfidence:
         np.testing.assert_array_equal(with_it, without)
 
     def test_what_looks_like_nothing_in_the_reference_stays_grey_and_says_so(self, ct, monkeypatch, caplog):
-        from MedColorLib import confidence
+        from MedColorLib.matching import confidence
 
         monkeypatch.setitem(confidence.LIKENESS_RANGE, "embedded", (2.0, 3.0))  # nothing is ever so alike
         result = colorize(part(ct), [ct.reference], settings())

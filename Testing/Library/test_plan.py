@@ -7,14 +7,17 @@ import json
 import numpy as np
 import pytest
 
-from MedColorLib import Settings, Volume, analogy, colorize, make_plan, prepare, transfer
+from MedColorLib import Settings, Volume, colorize, make_plan
+from MedColorLib.coloring import transfer
 from MedColorLib.errors import InputError, SettingsError
 from MedColorLib.features.embedded import Embedded
 from MedColorLib.filters import FILTERS
+from MedColorLib.matching import analogy
 from MedColorLib.parameters import PRESETS
 from MedColorLib.phantom import section
 from MedColorLib.plan import LeftOut, Plan
-from MedColorLib.prepare import sample_slices
+from MedColorLib.run import prepare
+from MedColorLib.scan.slices import sample_slices
 
 pytestmark = pytest.mark.usefixtures("small_raster")
 

@@ -7,10 +7,11 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from MedColorLib import Settings, Volume, colorize, planes
-from MedColorLib.intensity import strided
+from MedColorLib import Settings, Volume, colorize
 from MedColorLib.phantom import section
-from MedColorLib.planes import PlaneBlocks, planes_of
+from MedColorLib.scan import planes
+from MedColorLib.scan.intensity import strided
+from MedColorLib.scan.planes import PlaneBlocks, planes_of
 
 PLANE_BYTES = 6 * 5 * 2
 

@@ -11,8 +11,8 @@ import pytest
 
 from MedColorLib.errors import Cancelled, InputError
 from MedColorLib.features.embedded import Embedded
+from MedColorLib.matching.recommend import Recommender, index_library, recommend
 from MedColorLib.phantom import section
-from MedColorLib.recommend import Recommender, index_library, recommend
 
 LEVELS = {"eyes": -0.45, "middle": 0.2, "top": 0.75}
 
@@ -124,7 +124,7 @@ def test_cancelling_keeps_what_has_been_described(library, described):
 
 
 def test_a_recommender_answers_as_one_call_does_and_describes_nothing_again(ct, mr, library, described, monkeypatch):
-    from MedColorLib import body
+    from MedColorLib.scan import body
 
     outlined = []
     find_body = body.find_body
@@ -157,7 +157,7 @@ def test_photographs_that_lie_the_other_way_are_found_as_well(ct, tmp_path, sect
 
 
 def test_a_library_by_its_name(ct, library, cache):
-    from MedColorLib.library import add_library
+    from MedColorLib.references.library import add_library
 
     add_library(library, "plates")
     by_name, by_folder = ask(ct, "plates", slice_index=4), ask(ct, library, slice_index=4)

@@ -8,9 +8,9 @@ import pytest
 from scipy.ndimage import binary_erosion, binary_fill_holes
 
 from MedColorLib.errors import InputError
-from MedColorLib.grid import MARGIN, choose_grid
 from MedColorLib.phantom import section
-from MedColorLib.reference import on_grid, prepare_reference, read_picture, tissue_mask
+from MedColorLib.references.photograph import on_grid, prepare_reference, read_picture, tissue_mask
+from MedColorLib.scan.grid import MARGIN, choose_grid
 
 GELATIN, DARK_GELATIN, WHITE, BLACK = (28, 74, 120), (16, 30, 52), (255, 255, 255), (0, 0, 0)
 SKIN, FAT, MUSCLE, LUMEN = (205, 160, 128), (226, 196, 124), (122, 52, 44), (30, 14, 12)

@@ -10,10 +10,10 @@ import SimpleITK as sitk
 from MedColorLib import ColorVolume, Settings, Volume, colorize, make_plan, read_color_volume, write_color_volume
 from MedColorLib.color.difference import ciede2000
 from MedColorLib.color.lab import lightness_to_gray, srgb_to_lab
-from MedColorLib.color_sections import MOST_SECTIONS, sections
 from MedColorLib.errors import InputError
 from MedColorLib.phantom import section
-from MedColorLib.references import MANY, SIDE_OF_MANY_PX, describe_references, load_references
+from MedColorLib.references.color_sections import MOST_SECTIONS, sections
+from MedColorLib.references.loading import MANY, SIDE_OF_MANY_PX, describe_references, load_references
 
 
 @pytest.fixture
@@ -111,7 +111,7 @@ def test_volumes_that_are_no_reference(colored, tmp_path, write, words):
 
 
 def test_a_volume_too_large_is_refused_before_it_is_read(colored, tmp_path, monkeypatch):
-    monkeypatch.setattr("MedColorLib.color_sections.MAX_BYTES", 1000)
+    monkeypatch.setattr("MedColorLib.references.color_sections.MAX_BYTES", 1000)
     path = vector_file(tmp_path / "large.nrrd", colored.rgb, colored.ijk_to_ras)
     monkeypatch.setattr(sitk.ImageFileReader, "Execute", lambda self: pytest.fail("was read"))
     with pytest.raises(InputError, match=r"large\.nrrd: more than"):

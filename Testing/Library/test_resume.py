@@ -19,13 +19,14 @@ import torch
 from safetensors.torch import save_file
 from volume_samples import save_nrrd
 
-from MedColorLib import Resume, Settings, Volume, analogy, colorize, forget_run, make_plan, read_color_volume, vote
-from MedColorLib import resume as resume_module
-from MedColorLib.cli import main
+from MedColorLib import Resume, Settings, Volume, colorize, forget_run, make_plan, read_color_volume
+from MedColorLib.cli.main import main
 from MedColorLib.errors import Cancelled, SettingsError
+from MedColorLib.matching import analogy, vote
 from MedColorLib.phantom import section
-from MedColorLib.prepare import prepare
-from MedColorLib.resume import RunStore, run_key
+from MedColorLib.run import resume as resume_module
+from MedColorLib.run.prepare import prepare
+from MedColorLib.run.resume import RunStore, run_key
 
 ROOT = Path(__file__).resolve().parents[2]
 KINDS = {

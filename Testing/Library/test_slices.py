@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from MedColorLib.slices import slice_order
+from MedColorLib.scan.slices import slice_order
 
 UP, BACK, LEFT = (0, 0, 1), (0, -1, 0), (-1, 0, 0)  # feet to head, front to back, the patient's right to left, in RAS
 STANDING = np.arange(3 * 4 * 5).reshape(3, 4, 5)  # as it should be seen: (feet up, front to back, right to left)

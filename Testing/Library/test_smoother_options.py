@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from MedColorLib import Settings, Volume, colorize, make_plan
-from MedColorLib.cli import main
+from MedColorLib.cli.main import main
 from MedColorLib.errors import SettingsError
 from MedColorLib.filters import PARAMETERS, smoother_options, smoother_parameters
 from MedColorLib.filters.options import values_text

@@ -8,12 +8,12 @@ import pytest
 from MedColorLib.color.difference import ciede2000
 from MedColorLib.color.gamut import gamma_decode, gamma_encode
 from MedColorLib.color.lab import gray_to_lightness, lab_to_srgb, lightness_to_gray, srgb_to_lab
-from MedColorLib.confidence import LEAST_TRUST, Trust
+from MedColorLib.coloring.transfer import REMAINDER, SliceMatch, TransferParameters, transfer, transfer_lab
 from MedColorLib.filters import FILTERS
 from MedColorLib.filters.regression import RegressionParameters, predict, solve, splat
-from MedColorLib.grid import MARGIN, choose_grid, to_grid
-from MedColorLib.intensity import spreading_curve
-from MedColorLib.transfer import REMAINDER, SliceMatch, TransferParameters, transfer, transfer_lab
+from MedColorLib.matching.confidence import LEAST_TRUST, Trust
+from MedColorLib.scan.grid import MARGIN, choose_grid, to_grid
+from MedColorLib.scan.intensity import spreading_curve
 
 GRID = choose_grid(64)
 INNER = np.s_[MARGIN:-MARGIN, MARGIN:-MARGIN]
@@ -175,7 +175,7 @@ class TestTrust:
 
     @pytest.mark.parametrize("smoother", ["regression", "fgs"])
     def test_no_colour_where_nothing_is_trusted(self, smoother):
-        from MedColorLib.transfer import combine, relation_sums, remainder, solve_relation
+        from MedColorLib.coloring.transfer import combine, relation_sums, remainder, solve_relation
 
         grey, mask, match = arguments()
         parameters = TransferParameters(smoother, "keep", False)

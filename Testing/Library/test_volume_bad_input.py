@@ -12,8 +12,8 @@ import SimpleITK as sitk
 from volume_samples import SHAPE, save_nrrd, sound_files, voxels
 
 from MedColorLib.errors import InputError
+from MedColorLib.io.files import read_volume, write_color_volume
 from MedColorLib.volume import ColorVolume
-from MedColorLib.volume_io import read_volume, write_color_volume
 
 
 def bad_inputs(folder: Path) -> dict[str, str]:

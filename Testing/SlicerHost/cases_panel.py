@@ -217,7 +217,7 @@ def test_first_volume_of_the_scene_is_chosen(panel):
 
 def test_plan_and_times_are_readable_before_apply(ready, monkeypatch):
     import MedColorLib
-    from MedColorLib.expected_error import expected_error
+    from MedColorLib.run.expected_error import expected_error
 
     plan = types.SimpleNamespace(text=lambda: "left out: nothing", slices=tuple(range(40)), features="embedded")
     monkeypatch.setattr(MedColorLib, "make_plan", lambda *_, **_options: plan)

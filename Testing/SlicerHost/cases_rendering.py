@@ -23,6 +23,13 @@ def second_view(host, view):
 
 
 @pytest.fixture
+def rendering_show(scene):
+    from MedColorSlicer import rendering_show
+
+    return rendering_show
+
+
+@pytest.fixture
 def rendering(scene):
     from MedColorSlicer import rendering
 
@@ -49,9 +56,9 @@ def sides(picture):
     return picture[middle, middle + beside], picture[middle, middle - beside]
 
 
-def test_known_colors_come_out_as_themselves(view, rendering):
+def test_known_colors_come_out_as_themselves(view, rendering, rendering_show):
     node = color_node(two_colors())
-    rendering.show(node)
+    rendering_show.show(node)
     unshaded(rendering, node)
     picture = look(view, node)
     left, right = sides(picture)
@@ -61,10 +68,10 @@ def test_known_colors_come_out_as_themselves(view, rendering):
 
 
 @pytest.mark.parametrize("with_shader", [True, False])
-def test_no_dark_rim(view, rendering, monkeypatch, with_shader):
+def test_no_dark_rim(view, rendering, monkeypatch, with_shader, rendering_show):
     """Before white, a half transparent edge is lighter than the tissue; only a dark rim is darker."""
     node = color_node(two_colors())
-    display = rendering.show(node)
+    display = rendering_show.show(node)
     unshaded(rendering, node)
     if not with_shader:  # what the shader replacement is for
         display.GetShaderPropertyNode().GetShaderProperty().ClearAllFragmentShaderReplacements()
@@ -76,9 +83,9 @@ def test_no_dark_rim(view, rendering, monkeypatch, with_shader):
         assert (brightest < 170).mean() > 0.02
 
 
-def test_shading_keeps_hue_and_stays_bright(view, rendering):
+def test_shading_keeps_hue_and_stays_bright(view, rendering, rendering_show):
     node = color_node(two_colors())
-    rendering.show(node)
+    rendering_show.show(node)
     left, right = sides(look(view, node))
     for color, known in ((left, LEFT), (right, RIGHT)):
         assert color.max() > 0.6 * 200
@@ -86,7 +93,7 @@ def test_shading_keeps_hue_and_stays_bright(view, rendering):
 
 
 @pytest.mark.parametrize("scale", [0.25, 0.5, 1.0])
-def test_curve_follows_the_luminance_range(view, rendering, scale):
+def test_curve_follows_the_luminance_range(view, rendering, scale, rendering_show):
     """The same tissue is visible whether or not a single voxel of luminance 255 stretches VTK's alpha axis."""
     rgb = (two_colors() * scale).astype(np.uint8)
     anchored = rgb.copy()
@@ -94,7 +101,7 @@ def test_curve_follows_the_luminance_range(view, rendering, scale):
     pictures = []
     for voxels in (rgb, anchored):
         node = color_node(voxels)
-        rendering.show(node)
+        rendering_show.show(node)
         prop = unshaded(rendering, node)
         prop.SetScalarOpacityUnitDistance(0.2)  # the anchor also makes the body's box larger
         pictures.append(look(view, node))
@@ -105,25 +112,25 @@ def test_curve_follows_the_luminance_range(view, rendering, scale):
 
 
 @pytest.mark.parametrize("preset", ["US-Fetal", "CT-Bones"])
-def test_preset_applied_by_hand_is_repaired(host, view, rendering, preset):
+def test_preset_applied_by_hand_is_repaired(host, view, rendering, preset, rendering_show):
     node = color_node(two_colors())
-    display = rendering.show(node, opacity=0.8)
+    display = rendering_show.show(node, opacity=0.8)
     before = look(view, node)
     display.GetVolumePropertyNode().CopyContent(host.rendering_logic.GetPresetByName(preset))
     assert np.abs(look(view, node) - before).max() <= 1
 
 
-def test_independent_components_are_switched_off_again(view, rendering):
+def test_independent_components_are_switched_off_again(view, rendering, rendering_show):
     node = color_node(two_colors())
-    display = rendering.show(node)
+    display = rendering_show.show(node)
     before = look(view, node)
     display.GetVolumePropertyNode().GetVolumeProperty().SetIndependentComponents(True)
     assert np.abs(look(view, node) - before).max() <= 1
 
 
-def test_reset_undoes_changes_by_hand(view, rendering):
+def test_reset_undoes_changes_by_hand(view, rendering, rendering_show):
     node = color_node(two_colors())
-    display = rendering.show(node)
+    display = rendering_show.show(node)
     before = look(view, node)
     curve = vtk.vtkPiecewiseFunction()
     curve.AddPoint(0, 0)
@@ -136,9 +143,9 @@ def test_reset_undoes_changes_by_hand(view, rendering):
 
 
 @pytest.mark.parametrize("guarded", [True, False])
-def test_reopened_scene_looks_the_same(host, view, rendering, tmp_path, guarded):
+def test_reopened_scene_looks_the_same(host, view, rendering, tmp_path, guarded, rendering_show):
     node = color_node(two_colors())
-    rendering.show(node, opacity=0.7)
+    rendering_show.show(node, opacity=0.7)
     before = look(view, node)
     bundle = str(tmp_path / "scene.mrb")
     assert host.scene.WriteToMRB(bundle)
@@ -156,9 +163,9 @@ def test_reopened_scene_looks_the_same(host, view, rendering, tmp_path, guarded)
     assert rendering.opacity_of(node) == 0.7
 
 
-def test_preset_is_repaired_in_a_reopened_scene_too(host, view, rendering, tmp_path):
+def test_preset_is_repaired_in_a_reopened_scene_too(host, view, rendering, tmp_path, rendering_show):
     node = color_node(two_colors())
-    rendering.show(node)
+    rendering_show.show(node)
     before = look(view, node)
     assert host.scene.WriteToMRB(str(tmp_path / "scene.mrb"))
     host.scene.Clear(0)
@@ -169,9 +176,9 @@ def test_preset_is_repaired_in_a_reopened_scene_too(host, view, rendering, tmp_p
     assert np.abs(look(view, node) - before).max() <= 1
 
 
-def test_new_voxels_keep_the_user_curve_at_the_same_luminance(view, rendering):
+def test_new_voxels_keep_the_user_curve_at_the_same_luminance(view, rendering, rendering_show):
     node = color_node(two_colors())
-    display = rendering.show(node)
+    display = rendering_show.show(node)
     curve = vtk.vtkPiecewiseFunction()  # by hand: only what is brighter than luminance 120 is seen
     top = rendering.measured_axis(node)["range"][1]
     for luminance, opacity in ((0, 0), (119, 0), (121, 1), (255, 1)):
@@ -191,66 +198,66 @@ def test_new_voxels_keep_the_user_curve_at_the_same_luminance(view, rendering):
     assert not display.GetVolumePropertyNode().GetVolumeProperty().GetShade()
 
 
-def test_display_is_created_only_when_asked_for_and_can_be_hidden(view, rendering):
+def test_display_is_created_only_when_asked_for_and_can_be_hidden(view, rendering, rendering_show):
     node = color_node(two_colors())
     assert rendering.display_node_of(node) is None
     rendering.hide(node)
     assert rendering.display_node_of(node) is None
-    rendering.show(node)
+    rendering_show.show(node)
     assert look(view, node).max() > 0
     rendering.hide(node)
     assert look(view, node).max() == 0
-    rendering.show(node)
+    rendering_show.show(node)
     assert look(view, node).max() > 0
 
 
-def test_other_rendering_methods_are_replaced_by_gpu_ray_casting(host, view, rendering):
+def test_other_rendering_methods_are_replaced_by_gpu_ray_casting(host, view, rendering, rendering_show):
     node = color_node(two_colors())
     display = host.scene.AddNewNodeByClass("vtkMRMLCPURayCastVolumeRenderingDisplayNode")
     node.AddAndObserveDisplayNodeID(display.GetID())
-    assert rendering.show(node).IsA("vtkMRMLGPURayCastVolumeRenderingDisplayNode")
+    assert rendering_show.show(node).IsA("vtkMRMLGPURayCastVolumeRenderingDisplayNode")
     assert not [n for n in slicer.util.getNodesByClass("vtkMRMLCPURayCastVolumeRenderingDisplayNode")]
     assert look(view, node).max() > 100
 
 
-def test_less_opacity_shows_less(view, rendering):
+def test_less_opacity_shows_less(view, rendering, rendering_show):
     node = color_node(two_colors())
     means = []
     for opacity in (0.0, 0.2, 0.5, 1.0):
-        rendering.show(node, opacity=opacity)
+        rendering_show.show(node, opacity=opacity)
         means.append(look(view, node).mean())
     assert means[0] == 0
     assert means == sorted(means)
     assert means[1] < 0.6 * means[3]
 
 
-def test_slider_does_not_lose_the_look_of_a_saved_display(rendering):
+def test_slider_does_not_lose_the_look_of_a_saved_display(rendering, rendering_show):
     node = color_node(two_colors())
-    display = rendering.show(node)
+    display = rendering_show.show(node)
     for opacity in (0.1, 0.9):
         rendering.set_opacity(node, opacity)
         assert rendering.opacity_of(node) == opacity
         assert rendering.has_medcolor_look(display)
 
 
-def test_black_volume_can_be_shown(view, rendering):
+def test_black_volume_can_be_shown(view, rendering, rendering_show):
     node = color_node(np.zeros((8, 8, 8, 3), np.uint8))
-    rendering.show(node)
+    rendering_show.show(node)
     assert look(view, node).max() == 0
 
 
-def test_one_color_volume_can_be_shown(view, rendering):
+def test_one_color_volume_can_be_shown(view, rendering, rendering_show):
     node = color_node(np.full((16, 16, 16, 3), (200, 120, 60), np.uint8))
-    rendering.show(node)
+    rendering_show.show(node)
     unshaded(rendering, node)
     assert np.abs(look(view, node)[SIZE // 2, SIZE // 2] - LEFT).max() <= 8
 
 
-def test_views_created_later_show_it(view, rendering, second_view):
+def test_views_created_later_show_it(view, rendering, second_view, rendering_show):
     node = color_node(two_colors())
-    rendering.show(node)
+    rendering_show.show(node)
     assert look(second_view, node).max() > 100
-    rendering.show(node, [view.node])
+    rendering_show.show(node, [view.node])
     assert look(second_view, node).max() == 0
     assert look(view, node).max() > 100
 
@@ -291,10 +298,10 @@ def test_comparison_respects_a_grey_rendering_of_the_user(host, view, second_vie
     assert display.GetVolumePropertyNode().GetVolumeProperty().GetAmbient() == pytest.approx(0.77)
 
 
-def test_guard_lets_go_of_a_closed_scene(host, rendering):
+def test_guard_lets_go_of_a_closed_scene(host, rendering, rendering_show):
     from MedColorSlicer import rendering_guard
 
-    rendering.show(color_node(two_colors(8, 3)))
+    rendering_show.show(color_node(two_colors(8, 3)))
     guard = rendering_guard.guard_of(host.scene)
     assert len(guard._watched) == 1
     host.scene.Clear(0)
@@ -302,9 +309,9 @@ def test_guard_lets_go_of_a_closed_scene(host, rendering):
     assert {type(observed).__name__ for observed, *_ in guard.Observations} == {"vtkMRMLScene"}
 
 
-def test_hidden_volume_property_is_not_shared(rendering):
+def test_hidden_volume_property_is_not_shared(rendering, rendering_show):
     first, second = color_node(two_colors()), color_node(two_colors(), "other")
-    assert rendering.show(first).GetVolumePropertyNodeID() != rendering.show(second).GetVolumePropertyNodeID()
+    assert rendering_show.show(first).GetVolumePropertyNodeID() != rendering_show.show(second).GetVolumePropertyNodeID()
 
 
 def test_self_test_of_the_3d_view_passes_here_too(host, view, rendering, monkeypatch):

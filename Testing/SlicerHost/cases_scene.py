@@ -356,7 +356,7 @@ SAGITTAL = np.array([[0.0, 0, 2, 0], [1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 
 @pytest.mark.parametrize("matrix", [np.eye(4), np.diag([-1.0, -1, -3, 1]), SAGITTAL, OBLIQUE])
 def test_slice_numbers_are_those_of_the_library(nodes, matrix):
-    from MedColorLib.slices import slice_order
+    from MedColorLib.scan.slices import slice_order
 
     grey = grey_node(shape=(5, 7, 9), matrix=matrix)
     voxels = slicer.util.arrayFromVolume(grey)

@@ -26,7 +26,7 @@ BACKGROUND = (0.92, 0.93, 0.95)
 def load(files):
     """(grey node, reference) of the files given, or of the phantom."""
     if files:
-        from MedColorLib.volume_io import read_volume
+        from MedColorLib.io.files import read_volume
 
         volume, reference = read_volume(files[0]), files[1]
         name = os.path.basename(files[0]).split(".")[0]

@@ -1,0 +1,1 @@
+"""Command line: words become one call of the library; a failure becomes one sentence and an exit status."""

@@ -1,0 +1,234 @@
+"""The command line's options: what may be asked, with ranges and defaults."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+from typing import NoReturn
+
+from .. import __version__
+from ..parameters import FEATURES, LUMINANCE, PRESETS, RECONSTRUCTIONS, SMOOTHERS, Settings
+from .guard_options import add_guard
+
+_KEPT = "interrupted; what is done is kept, the same command goes on from there"
+
+
+class _Parser(argparse.ArgumentParser):
+    """Wrong arguments are told in one line, like any other bad input; the usage is in --help."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"{self.prog}: {message}; see {self.prog} --help\n")
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """The parser; the attribute `run` of what it parses names the command."""
+    parser = _Parser(
+        prog="medcolor",
+        description="Colour grey medical volumes after a colour photograph of real anatomy. An illustration, not a measurement.",
+    )
+    parser.add_argument("--version", action="version", version=f"medcolor {__version__}")
+    parser.add_argument("-v", "--verbose", action="store_true", help="say what is being decided")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    _add_colorize(commands)
+    _add_batch(commands)
+    _add_render(commands)
+    _add_recommend(commands)
+    _add_library(commands)
+    _add_weights(commands)
+    demo = commands.add_parser("demo", help="colour and render a sample made by formula: needs no download")
+    demo.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help="folder for the results")
+    demo.set_defaults(run="demo")
+    _add_bench(commands)
+    return parser
+
+
+def _add_colorize(commands) -> None:
+    command = commands.add_parser("colorize", help="colour a volume")
+    add = command.add_argument
+    add("input", metavar="INPUT", help="NRRD, MetaImage, NIfTI, DICOM folder, or folder of PNG/TIFF slices")
+    add("-o", "--output", metavar="OUT", help="result: .nrrd or .nii.gz (not needed with --plan)")
+    _add_settings(add)
+    add(
+        "--resume",
+        action="store_true",
+        help="keep what is matched until the end; go on where the same run was broken off",
+    )
+    add("--plan", action="store_true", help="print what would be done and left out, and stop")
+    add("--report", type=Path, metavar="F.json", help="write settings, plan, seconds, memory and hashes")
+    add_guard(add)
+    add(
+        "--confidence", type=Path, metavar="OUT2", help="write how far colours can be trusted, in per cent, as a volume"
+    )
+    command.set_defaults(run="colorize")
+
+
+def _add_batch(commands) -> None:
+    command = commands.add_parser("batch", help="colour every volume of a folder; finished ones are not done again")
+    add = command.add_argument
+    add("input", type=Path, metavar="IN_FOLDER", help="folder with volume files and DICOM folders, at any depth")
+    add("-o", "--output", type=Path, required=True, metavar="OUT_FOLDER", help="results, reports and batch.json")
+    _add_settings(add)
+    where = command.add_mutually_exclusive_group()
+    where.add_argument("--workers", type=int, default=1, metavar="N", help="processes (default: %(default)s)")
+    where.add_argument("--scheduler", metavar="ADDRESS", help="work on this Dask cluster, such as tcp://host:8786")
+    command.set_defaults(run="batch", interrupted="interrupted; finished volumes are kept, the same command goes on")
+
+
+def _add_settings(add: Callable) -> None:
+    """The options that say how a volume is coloured."""
+    add(
+        "-r",
+        "--reference",
+        action="append",
+        required=True,
+        metavar="REF",
+        help="colour picture, folder of them, colour volume, or a library's name; may be repeated",
+    )
+    add("--preset", choices=tuple(PRESETS), default="balanced", help="how deep to go (default: %(default)s)")
+    add(
+        "--features",
+        choices=FEATURES,
+        default="auto",
+        help="feature network (default: VGG-19 where present, else embedded)",
+    )
+    add("--smoother", choices=SMOOTHERS, default="auto", help="how colour is spread (default: the preset's)")
+    add(
+        "--smoother-option",
+        action="append",
+        type=_named_value,
+        metavar="NAME=VALUE",
+        help="parameter of the smoother, such as lam=16; may be repeated (a wrong name lists the right ones)",
+    )
+    add("--luminance", choices=LUMINANCE, default="keep", help="the scan's own, or the reference's as in the paper")
+    add("--gamma", choices=("on", "off"), help="transfer between gamma 1/2 and 2 (default: on in full, else off)")
+    add(
+        "--reconstruction",
+        choices=RECONSTRUCTIONS,
+        default="warp",
+        help="features one layer down (default: %(default)s)",
+    )
+    add("--window", nargs=2, type=float, metavar=("LO", "HI"), help="values shown black and white")
+    add("--slices", type=_slice_range, metavar="A:B", help="transverse slices from A up to B, counted from the feet")
+    add("--region", nargs=6, type=int, metavar=("K0", "K1", "J0", "J1", "I0", "I1"), help="voxels to colour")
+    add(
+        "--coherence",
+        type=float,
+        default=Settings.coherence_mm,
+        metavar="MM",
+        help="averaging along the stack (default: %(default)s mm)",
+    )
+    add(
+        "--plane",
+        choices=("transverse", "acquired"),
+        default="transverse",
+        help="slices to colour (default: %(default)s)",
+    )
+    add("--device", default="auto", help="auto, cpu, cuda, cuda:N or mps (default: %(default)s)")
+    add("--seed", type=int, default=0, metavar="N", help="of the random search (default: %(default)s)")
+    add(
+        "--resume-limit",
+        type=float,
+        default=2.0,
+        metavar="GB",
+        help="what unfinished runs may take on disk (default: %(default)s)",
+    )
+
+
+def _add_render(commands) -> None:
+    command = commands.add_parser("render", help="picture of a coloured volume: views and sections")
+    command.add_argument("volume", metavar="VOLUME", help="RGB volume as written by colorize")
+    command.add_argument("-o", "--output", type=Path, required=True, metavar="PNG")
+    left = command.add_mutually_exclusive_group()
+    left.add_argument("--grey", metavar="INPUT", help="the grey volume, to stand beside the colours")
+    left.add_argument("--beside", metavar="VOLUME2", help="another coloured volume, to stand there instead")
+    command.add_argument("--titles", nargs=2, metavar=("LEFT", "RIGHT"), help="above the two halves")
+    command.add_argument("--size", nargs=2, type=int, default=(1600, 1200), metavar=("W", "H"))
+    command.set_defaults(run="render")
+
+
+def _add_recommend(commands) -> None:
+    command = commands.add_parser("recommend", help="references of a library that look most like a volume")
+    command.add_argument("input", metavar="INPUT", help="the grey volume")
+    library = "folder of colour pictures, or a library's name"
+    command.add_argument("--library", required=True, metavar="DIR", help=library)
+    command.add_argument("--top", type=int, default=3, metavar="N", help="how many to name (default: %(default)s)")
+    command.add_argument("--slice", type=int, metavar="K", help="one transverse slice, counted from the feet")
+    command.add_argument("--features", choices=FEATURES, default="auto")
+    command.add_argument("--device", default="auto")
+    command.set_defaults(run="recommend")
+
+
+def _add_library(commands) -> None:
+    command = commands.add_parser("library", help="libraries of references: fetch, add, list, remove")
+    actions = command.add_subparsers(required=True, metavar="ACTION")
+    fetch = actions.add_parser("fetch", help="download photographs and prepare them; goes on where it was interrupted")
+    fetch.add_argument("name", choices=("visible-human-male",), help="which library")
+    fetch.add_argument("--step", type=int, default=5, metavar="MM", help="between two (default: %(default)s mm)")
+    fetch.add_argument("--part", action="append", choices=("head", "thorax", "abdomen"), help="only these parts")
+    fetch.add_argument("--url", help="a mirror's folder with the same pages and files (https)")
+    fetch.add_argument("-y", "--yes", action="store_true", help="do not ask before the download")
+    fetch.set_defaults(run="library_fetch", interrupted=_KEPT)
+    add = actions.add_parser("add", help="prepare a folder of photographs, atlas plates or painted slices")
+    add.add_argument("folder", metavar="FOLDER")
+    add.add_argument("--name", help="of the library (default: the folder's name)")
+    add.add_argument("--credit", default="", help="whom to name with results")
+    add.add_argument("--licence", default="", help="of the pictures")
+    add.set_defaults(run="library_add", interrupted=_KEPT)
+    actions.add_parser("list", help="libraries on this machine").set_defaults(run="library_list")
+    remove = actions.add_parser("remove", help="delete a library from this machine")
+    remove.add_argument("name")
+    remove.set_defaults(run="library_remove")
+
+
+def _add_weights(commands) -> None:
+    command = commands.add_parser("weights", help="network weights: where they are, download")
+    actions = command.add_subparsers(required=True, metavar="ACTION")
+    status = actions.add_parser("status", help="say what is present")
+    status.set_defaults(run="weights_status")
+    fetch = actions.add_parser("fetch", help="download, check and convert; resumes a broken download")
+    fetch.add_argument("network", nargs="?", choices=("vgg19", "gray-vgg19"), default="vgg19")
+    fetch.set_defaults(run="weights_fetch")
+
+
+def _add_bench(commands) -> None:
+    command = commands.add_parser("bench", help="error against run time on this machine; extreme cases")
+    add = command.add_argument
+    add(
+        "-o",
+        "--output",
+        type=Path,
+        default=Path("bench"),
+        metavar="DIR",
+        help="folder for the report (default: %(default)s)",
+    )
+    add("--quick", action="store_true", help="fewer points and repeats: under two minutes")
+    add("--stability", action="store_true", help="only the table of stiff and extreme cases")
+    add("--suites", metavar="NAME[,NAME]", help="only these, such as quality,profile")
+    add(
+        "--data",
+        type=Path,
+        metavar="FOLDER",
+        help="Visible Human photographs and CT (default: ../shared/data if there)",
+    )
+    add("--seed", type=int, default=0, metavar="N", help="of warps and random search (default: %(default)s)")
+    command.set_defaults(run="bench")
+
+
+def _named_value(text: str) -> tuple[str, int | float | str]:
+    name, separator, value = text.partition("=")
+    if not (separator and name.strip() and value.strip()):
+        raise argparse.ArgumentTypeError(f"expected NAME=VALUE, such as lam=16, got {text!r}")
+    for kind in (int, float):
+        try:
+            return name.strip(), kind(value)
+        except ValueError:
+            continue
+    return name.strip(), value.strip()
+
+
+def _slice_range(text: str) -> tuple[int, int]:
+    start, separator, stop = text.partition(":")
+    if not separator or not start.isdigit() or not stop.isdigit():
+        raise argparse.ArgumentTypeError(f"expected A:B with whole numbers, got {text!r}")
+    return int(start), int(stop)

@@ -1,0 +1,335 @@
+"""Stage *volume in / volume out*: files and folders to `Volume`, `ColorVolume` to files that Slicer opens.
+
+Geometry is kept: NRRD numbers as they are written, NIfTI as sform or qform give it, DICOM positions and directions.
+What a reader had to decide is in `Volume.notes`.
+"""
+
+from __future__ import annotations
+
+import gzip
+import hashlib
+import os
+import secrets
+import tempfile
+import warnings
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import InputError, OutputError
+from ..volume import ColorVolume, Volume
+from .dicom import DICOM_ENDINGS, is_dicom, read_dicom
+from .metaimage_nifti import load_nifti, meta_fields, nifti_array, nifti_matrix, read_meta_image, read_nifti
+from .nrrd import nrrd_array, nrrd_axes, nrrd_header, nrrd_matrix, read_nrrd
+from .pictures import PICTURE_ENDINGS, read_picture_folder, read_tiff
+from .voxel_data import IS_FLAT, LPS_TO_RAS, check_size, data_file, title
+
+MAX_BYTES = 16 * 2**30
+COLOR_ENDINGS = (".nrrd", ".nii.gz", ".nii")
+_RGB24 = np.dtype([("R", "u1"), ("G", "u1"), ("B", "u1")])
+_NIFTI_MAX = 32767
+_ORTHONORMAL = 1e-6  # largest cosine between axes that a NIfTI qform may drop
+
+
+def read_volume(path: str | os.PathLike, *, max_bytes: int = MAX_BYTES) -> Volume:
+    """Read a scalar volume in its own type and geometry.
+
+    Args:
+        path: NRRD (.nrrd, .nhdr), MetaImage (.mha, .mhd), NIfTI (.nii, .nii.gz), multi-page TIFF, a DICOM folder (its
+            largest series), one DICOM file (the series of that file in its folder), or a folder of PNG or TIFF slices.
+        max_bytes: refuse more voxels than this before taking memory for them.
+
+    Returns:
+        `Volume`, (k, j, i), DICOM and NIfTI rescale applied. The array is native and in memory, or, of an uncompressed
+        NRRD or MetaImage, the file itself: read-only, mapped, in the file's byte order (see `voxel_data.read_voxels`).
+
+    Raises:
+        InputError: missing, unreadable, truncated, not an image, colour, not three-dimensional, or too large.
+    """
+    with _input_errors(path) as source:
+        if source.is_dir():
+            return _read_folder(source, max_bytes)
+        return _reader(source)(source, max_bytes)
+
+
+def read_color_volume(path: str | os.PathLike, *, max_bytes: int = MAX_BYTES) -> ColorVolume:
+    """Read what `write_color_volume` writes: an RGB NRRD (colour axis first) or an RGB24 NIfTI.
+
+    Raises:
+        InputError: missing, unreadable, or not such a volume.
+    """
+    with _input_errors(path) as source:
+        ending = _ending(source, (*COLOR_ENDINGS, ".nhdr"))
+        if ending in (".nrrd", ".nhdr"):
+            return _read_color_nrrd(source, max_bytes)
+        if ending in (".nii", ".nii.gz"):
+            return _read_color_nifti(source, max_bytes)
+        raise InputError(f"not a colour volume; the endings are {', '.join(COLOR_ENDINGS)}")
+
+
+def write_color_volume(volume: ColorVolume, path: str | os.PathLike) -> None:
+    """Write an RGB volume that Slicer opens as a vector volume; `ColorVolume.report` is the caller's to write.
+
+    `.nrrd` keeps the geometry to the last bit. `.nii` and `.nii.gz` hold it as float32 (sform; qform as well where the
+    axes are orthogonal). An unfinished file never bears the final name.
+
+    Raises:
+        OutputError: unknown ending, folder missing or read-only, disk full.
+    """
+    _write(volume.rgb, volume.ijk_to_ras, Path(path))
+
+
+def write_confidence(volume: ColorVolume, path: str | os.PathLike) -> None:
+    """Write the confidence of a coloured volume, per cent as 8-bit scalars on the same grid; endings and errors as there.
+
+    Raises:
+        OutputError: as `write_color_volume`.
+        InputError: the volume has none; colour it with `Settings(confidence=True)`.
+    """
+    if volume.confidence is None:
+        raise InputError(f"{volume.name}: holds no confidence; colour it with Settings(confidence=True)")
+    _write(volume.confidence, volume.ijk_to_ras, Path(path))
+
+
+def _write(array: np.ndarray, ijk_to_ras: np.ndarray, path: Path) -> None:
+    write = _write_nrrd if check_output_path(path) == ".nrrd" else _write_nifti
+    if write is _write_nifti and max(array.shape) > _NIFTI_MAX:
+        raise OutputError(f"{path}: NIfTI holds at most {_NIFTI_MAX} voxels along an axis; write .nrrd")
+    with atomic_output(path) as temporary:
+        write(array, ijk_to_ras, temporary)
+
+
+def check_output_path(path: str | os.PathLike, endings: tuple[str, ...] = COLOR_ENDINGS) -> str:
+    """Find out before a long computation whether `path` can be written. Returns its ending.
+
+    Raises:
+        OutputError: unknown ending, `path` is a folder, or its folder is missing, read-only or full.
+    """
+    path = Path(path)
+    ending = _ending(path, endings)
+    if ending is None:
+        raise OutputError(f"{path}: unknown file ending; use one of {', '.join(endings)}")
+    if path.is_dir():
+        raise OutputError(f"{path}: is a folder; give the name of a file")
+    if not path.parent.is_dir():
+        raise OutputError(f"{path}: the folder {path.parent} does not exist; create it first")
+    try:
+        with tempfile.TemporaryFile(dir=path.parent) as file:
+            file.write(bytes(4096))
+    except OSError as error:
+        raise OutputError(f"{path}: cannot write in {path.parent} ({error.strerror}); choose another folder") from error
+    return ending
+
+
+@contextmanager
+def atomic_output(path: Path) -> Iterator[Path]:
+    """A temporary name beside `path`, of the same ending; it replaces `path` at the end and is removed on any failure.
+
+    Raises:
+        OutputError: on any `OSError` inside.
+    """
+    temporary = path.with_name(f".{secrets.token_hex(4)}-unfinished-{path.name}")
+    try:
+        yield temporary
+        os.replace(temporary, path)
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written ({error.strerror or error}); nothing was left there") from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def file_sha256(path: str | os.PathLike) -> str:
+    """SHA-256 (hex) of a file; of a folder: over the SHA-256 of its files in the order of their names.
+
+    Raises:
+        InputError: missing or unreadable.
+    """
+    with _input_errors(path) as source:
+        if not source.is_dir():
+            return _digest(source).hex()
+        total = hashlib.sha256()
+        for file in sorted(_tree(source), key=lambda file: file.relative_to(source).as_posix()):
+            total.update(_digest(file))
+        return total.hexdigest()
+
+
+def input_sha256(path: str | os.PathLike) -> str:
+    """SHA-256 (hex) over the files that one volume is read from, in the order of their names.
+
+    These are a file and the data file that its header names, or the files of a folder without the folders in it.
+
+    Raises:
+        InputError: missing, unreadable, or a header without its data.
+    """
+    with _input_errors(path) as source:
+        files = sorted(_files(source)) if source.is_dir() else [source, *_detached(source)]
+        return hashlib.sha256(b"".join(_digest(file) for file in files)).hexdigest()
+
+
+def _detached(path: Path) -> list[Path]:
+    """The data file of a header, if it has one."""
+    name = None
+    if _ending(path, (".nrrd", ".nhdr")):
+        name = nrrd_header(path).get("data file")
+    elif _ending(path, (".mha", ".mhd")):
+        name = meta_fields(path)[0]["ElementDataFile"]
+    return [] if name is None or name.upper() == "LOCAL" else [data_file(path, name)]
+
+
+def _digest(file: Path) -> bytes:
+    digest = hashlib.sha256()
+    with file.open("rb") as stream:
+        while chunk := stream.read(1 << 20):
+            digest.update(chunk)
+    return digest.digest()
+
+
+@contextmanager
+def _input_errors(path: str | os.PathLike) -> Iterator[Path]:
+    """Puts the path before every reason, and turns the system's refusals into reasons."""
+    path = Path(path)
+    try:
+        if not path.exists():
+            raise InputError("does not exist; check the spelling")
+        yield path
+    except InputError as error:
+        raise InputError(f"{path}: {' '.join(str(error).split())}") from error  # libraries break lines
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
+    except MemoryError as error:
+        raise InputError(f"{path}: more than the free memory of this machine; crop or resample the volume") from error
+
+
+def _ending(path: Path, endings: Iterable[str]) -> str | None:
+    return next((ending for ending in endings if path.name.lower().endswith(ending)), None)
+
+
+def _read_single_dicom(path: Path, max_bytes: int) -> Volume:
+    return read_dicom([file for file in _files(path.parent) if is_dicom(file)], max_bytes, wanted=path)
+
+
+def _refuse_picture(path: Path, max_bytes: int) -> Volume:
+    raise InputError(IS_FLAT)
+
+
+_READERS: dict[str, Callable[[Path, int], Volume]] = {
+    **dict.fromkeys((".nrrd", ".nhdr"), read_nrrd),
+    **dict.fromkeys((".mha", ".mhd"), read_meta_image),
+    **dict.fromkeys((".nii", ".nii.gz"), read_nifti),
+    **dict.fromkeys((".tif", ".tiff"), read_tiff),
+    **dict.fromkeys(DICOM_ENDINGS, _read_single_dicom),
+    **dict.fromkeys((".png", ".jpg", ".jpeg", ".bmp"), _refuse_picture),
+}
+
+
+def _reader(path: Path) -> Callable[[Path, int], Volume]:
+    if not path.is_file():
+        raise InputError("neither a file nor a folder")
+    if not path.stat().st_size:
+        raise InputError("the file is empty; copy or export it again")
+    ending = _ending(path, _READERS)
+    if ending:
+        return _READERS[ending]
+    if is_dicom(path):
+        return _read_single_dicom
+    raise InputError(f"not a known image file; the endings are {', '.join(_READERS)}, or give a folder of slices")
+
+
+def _files(folder: Path) -> list[Path]:
+    return [file for file in folder.iterdir() if file.is_file() and not file.name.startswith(".")]
+
+
+def _tree(folder: Path) -> Iterator[Path]:
+    for parent, _, names in os.walk(folder):
+        yield from (Path(parent, name) for name in names if not name.startswith(".") and Path(parent, name).is_file())
+
+
+def _read_folder(folder: Path, max_bytes: int) -> Volume:
+    """DICOM slices in the folder itself, else pictures there, else DICOM slices below it (as on a DICOM medium)."""
+    files = _files(folder)
+    dicom = [file for file in files if is_dicom(file)]
+    pictures = [file for file in files if file.suffix.lower() in PICTURE_ENDINGS]
+    if dicom or not pictures:
+        dicom = dicom or [file for file in _tree(folder) if is_dicom(file)]
+    if dicom:
+        return read_dicom(dicom, max_bytes)
+    if pictures:
+        return read_picture_folder(pictures, max_bytes)
+    hint = "; give one of its files" if any(_ending(file, _READERS) for file in files) else ""
+    raise InputError(f"the folder holds neither DICOM slices nor PNG or TIFF slices{hint}")
+
+
+def _read_color_nrrd(path: Path, max_bytes: int) -> ColorVolume:
+    header = nrrd_header(path)
+    spatial, other = nrrd_axes(header)
+    if other != [0] or len(spatial) != 3 or header["sizes"][0] != 3:
+        sizes = " x ".join(map(str, header["sizes"]))
+        raise InputError(f"not an RGB volume: expected 3 x i x j x k with the colour axis first, got {sizes}")
+    array = nrrd_array(path, header, max_bytes)
+    return ColorVolume(array, nrrd_matrix(header, spatial, []), name=title(path))
+
+
+def _read_color_nifti(path: Path, max_bytes: int) -> ColorVolume:
+    image = load_nifti(path)
+    if image.get_data_dtype() != _RGB24 or len(image.shape) != 3:
+        raise InputError(f"not an RGB24 volume: got {image.get_data_dtype()} of shape {image.shape}")
+    array = nifti_array(image, check_size(image.shape, _RGB24, max_bytes), path)
+    rgb = np.ascontiguousarray(array).view(np.uint8).reshape(*array.shape, 3)
+    return ColorVolume(rgb, nifti_matrix(image, []), name=title(path))
+
+
+class _Uncopied(np.ndarray):
+    """pynrrd packs pieces of `tobytes()`, which would be a copy of the whole volume; a look at it will do."""
+
+    def tobytes(self, order: str = "C") -> memoryview:
+        return np.ascontiguousarray(self).data.cast("B")
+
+
+def _write_nrrd(array: np.ndarray, ijk_to_ras: np.ndarray, path: Path) -> None:
+    """(k, j, i) scalars or (k, j, i, 3) RGB, uint8."""
+    import nrrd
+
+    lps = LPS_TO_RAS @ ijk_to_ras + 0.0  # + 0.0 turns -0.0 into 0.0
+    colors = array.ndim - 3
+    header = {
+        "space": "left-posterior-superior",
+        "kinds": ["RGB-color"] * colors + ["domain"] * 3,
+        "space directions": np.vstack([np.full((colors, 3), np.nan), lps[:3, :3].T]),
+        "space origin": lps[:3, 3],
+        "encoding": "gzip",
+    }
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # pynrrd's way to ask for the time, from Python 3.12 on
+        nrrd.write(str(path), array.view(_Uncopied), header, compression_level=3, index_order="C")
+    _blank_time(path)
+
+
+def _blank_time(path: Path) -> None:
+    """Overwrite pynrrd's comment with the time of writing, so that equal volumes make equal files."""
+    with path.open("r+b") as file:
+        while (line := file.readline(1024)).startswith((b"NRRD", b"#")):
+            if line.startswith(b"# on "):
+                file.seek(-len(line), os.SEEK_CUR)
+                file.write(b"#".ljust(len(line) - 1) + b"\n")
+                file.seek(0, os.SEEK_CUR)  # between writing and reading
+
+
+def _write_nifti(array: np.ndarray, ijk_to_ras: np.ndarray, path: Path) -> None:
+    """(k, j, i) scalars or (k, j, i, 3) RGB, uint8."""
+    import nibabel as nib
+
+    data = array.T if array.ndim == 3 else np.ascontiguousarray(array).view(_RGB24)[..., 0].T
+    image = nib.Nifti1Image(data, ijk_to_ras)
+    image.header.set_xyzt_units("mm")
+    image.set_sform(ijk_to_ras, code=1)
+    axes = ijk_to_ras[:3, :3] / np.linalg.norm(ijk_to_ras[:3, :3], axis=0)
+    if np.abs(axes.T @ axes - np.eye(3)).max() < _ORTHONORMAL:
+        image.set_qform(ijk_to_ras, code=1)
+    with path.open("wb") as file:  # nib.save would leave the file open when the disk is full
+        if path.suffix.lower() != ".gz":
+            image.to_stream(file)
+        else:
+            with gzip.GzipFile("", "wb", compresslevel=3, fileobj=file, mtime=0) as packed:
+                image.to_stream(packed)

@@ -1,0 +1,1 @@
+"""References: pictures, folders, colour volumes and libraries become tissue colours with a mask."""

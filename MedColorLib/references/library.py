@@ -1,0 +1,317 @@
+"""Libraries of references: named folders in the cache, prepared once to body-cut pictures, with an index that says where
+each came from.
+
+A library is `library.json` and PNG pictures: cut to their tissue, at most 1024 pixels long, black where there is no
+tissue and nowhere else (dark tissue is at least 1), in the order of the body where it is known. `library_folder` turns
+what a user names, a folder or a library, into a folder.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import logging
+import os
+import re
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import Cancelled, InputError, OutputError, SettingsError
+from ..io.voxel_data import natural_key
+from .photograph import PICTURE_SUFFIXES, Frame, Reference, prepare_reference, read_picture
+
+log = logging.getLogger("MedColor")
+
+INDEX = "library.json"
+LONG_SIDE_PX = 1024  # four times the raster on which slices are matched
+MAX_PICTURE_BYTES = 512 << 20
+_MARGIN_PX = 8  # of black around the tissue: whoever cuts the picture again sees its background
+_NAME = re.compile(r"[a-z0-9][a-z0-9._-]{0,63}")
+
+
+def libraries_folder() -> Path:
+    """Where libraries lie: `libraries` in MedColor's cache folder."""
+    from ..features.weights import cache_folder
+
+    return cache_folder() / "libraries"
+
+
+def find_library(name: str) -> Path | None:
+    """Folder of the library `name`, or None."""
+    folder = libraries_folder() / name
+    return folder if _NAME.fullmatch(name) and (folder / INDEX).is_file() else None
+
+
+def library_folder(library: str | Path) -> Path:
+    """Folder of a library given as a folder or by its name; the folder wins.
+
+    Raises:
+        InputError: neither exists.
+    """
+    path = Path(library)
+    if path.is_dir():
+        return path
+    found = find_library(str(library))
+    if found is None:
+        reason = "a file, not a folder" if path.exists() else f"no such folder, and {no_library(str(library))}"
+        raise InputError(f"library {library}: {reason}; name a folder of colour pictures or a library")
+    return found
+
+
+def no_library(name: str) -> str:
+    """Half a sentence for messages: that there is no library `name`, and which there are."""
+    names = [row["name"] for row in list_libraries()]
+    return f"no library is called {name} ({'there are ' + ', '.join(names) if names else 'there is none yet'})"
+
+
+def list_libraries() -> list[dict]:
+    """Name, title, credit, licence, pictures, bytes and completeness of each library, by name."""
+    folder = libraries_folder()
+    rows = []
+    for entry in sorted(folder.iterdir()) if folder.is_dir() else ():
+        if find_library(entry.name) is None:
+            continue
+        try:
+            index = read_index(entry)
+        except InputError as error:
+            log.warning("%s", error)
+            continue
+        size = sum(file.stat().st_size for file in entry.iterdir() if file.is_file())
+        known = {key: index[key] for key in ("title", "credit", "licence", "complete")}
+        rows.append({"name": entry.name, **known, "pictures": len(index["pictures"]), "bytes": size})
+    return rows
+
+
+def remove_library(name: str) -> None:
+    """Delete a library from the cache.
+
+    Raises:
+        InputError: no such library. OutputError: it cannot be deleted.
+    """
+    folder = libraries_folder() / name
+    if not _NAME.fullmatch(name) or not folder.is_dir():
+        raise InputError(f"library {name}: {no_library(name)}")
+    try:
+        shutil.rmtree(folder)
+    except OSError as error:
+        raise OutputError(f"library {name}: cannot be deleted ({error.strerror})") from error
+
+
+def add_library(
+    folder: str | Path,
+    name: str | None = None,
+    credit: str = "",
+    licence: str = "",
+    progress: Callable[[float, str], None] | None = None,
+    cancelled: Callable[[], bool] | None = None,
+) -> tuple[str, dict]:
+    """Prepare a folder of photographs, atlas plates or painted slices as a library; what is there already is kept.
+
+    Args:
+        folder: its pictures, subfolders included, in the natural order of their paths, which is taken as the order
+            along the body.
+        name: small letters, digits, `.`, `_` and `-`; by default made of the folder's name.
+        credit, licence: shown with every result.
+
+    Returns:
+        Name and index of the library; `left_out` in the index says what could not be used and why.
+
+    Raises:
+        InputError: no folder, no picture, or none that can be used.
+        SettingsError: no such name. OutputError: the cache folder cannot be written.
+        Cancelled: what was prepared is kept, and the next call goes on from there.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise InputError(f"library add: no folder {folder}")
+    name = checked_name(name if name is not None else re.sub(r"[^a-z0-9._-]+", "-", folder.resolve().name.lower()))
+    files = [file for file in folder.rglob("*") if file.suffix.lower() in PICTURE_SUFFIXES and file.is_file()]
+    if not files:
+        raise InputError(f"library add: {folder.name} holds no picture (PNG, JPEG or TIFF)")
+    files.sort(key=lambda file: natural_key(file.relative_to(folder)))
+    library = LibraryWriter(name, title=folder.resolve().name, credit=credit, licence=licence)
+    for number, file in enumerate(files):
+        if cancelled is not None and cancelled():
+            raise Cancelled(f"library add {name}")
+        if progress is not None:
+            progress(number / len(files), f"picture {number + 1} of {len(files)}")
+        library.add_file(file, file.relative_to(folder).as_posix())
+    index = library.finish()
+    if not index["pictures"]:
+        remove_library(name)
+        why = index["left_out"][0]["why"]
+        raise InputError(f"library add: none of {len(files)} pictures in {folder.name} can be used; the first: {why}")
+    return name, index
+
+
+def checked_name(name: str) -> str:
+    """The name itself.
+
+    Raises:
+        SettingsError: it cannot be the name of a library.
+    """
+    if not _NAME.fullmatch(name):
+        raise SettingsError(f"library name {name!r}: use 1 to 64 small letters, digits, '.', '_' or '-'")
+    return name
+
+
+def read_index(folder: Path) -> dict:
+    """`library.json` of a library.
+
+    Raises:
+        InputError: missing or damaged.
+    """
+    try:
+        index = json.loads((folder / INDEX).read_text(encoding="utf-8"))
+        [(entry["file"], entry["sha256"], entry["sha256_prepared"], entry["removed"]) for entry in index["pictures"]]
+        if any(key not in index for key in ("title", "credit", "licence", "complete", "left_out")):
+            raise KeyError
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(
+            f"library {folder.name}: its {INDEX} is missing or damaged; run `medcolor library remove {folder.name}` and "
+            "make it again"
+        ) from error
+    return index
+
+
+def read_reference(path: Path) -> Reference:
+    """Read and cut one colour picture; pictures of a library are cut already.
+
+    Raises:
+        InputError: not readable, no colour, no tissue.
+    """
+    rgb = read_picture(str(path))
+    if not (path.parent / INDEX).is_file():
+        return prepare_reference(rgb, path.stem)
+    mask = rgb.any(axis=2)
+    if not mask.any():
+        raise InputError(f"reference {path.name}: the picture is black; make the library again")
+    frame = Frame.around(mask)
+    return Reference(frame.cut(rgb), frame.cut(mask), path.stem, 1 - float(mask.mean()), frame=frame)
+
+
+def shrunk(reference: Reference, long_side: float) -> Reference:
+    """The reference at most `long_side` pixels long; colours at the outline are averaged over tissue only."""
+    import cv2
+
+    scale = long_side / max(reference.mask.shape)
+    if scale >= 1:
+        return reference
+    size = tuple(max(1, round(n * scale)) for n in reference.mask.shape[::-1])
+    cover = cv2.resize(reference.mask.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+    colors = (reference.rgb * reference.mask[..., None]).astype(np.float32)
+    total = cv2.resize(colors, size, interpolation=cv2.INTER_AREA)
+    rgb = np.rint(np.clip(total / np.maximum(cover, 1e-6)[..., None], 0, 255)).astype(np.uint8)
+    mask = cover > 0.5
+    return replace(reference, rgb=rgb, mask=mask)
+
+
+class LibraryWriter:
+    """Writes a library picture by picture; after each, the index on disk is whole, so that work can be taken up again."""
+
+    def __init__(self, name: str, **about: str) -> None:
+        """Open the library `name`, or begin it; `about`: title, credit, licence, order, source.
+
+        Nothing is written before the first picture. From there on the library is not complete until `finish`.
+
+        Raises:
+            InputError: the library is there and damaged. The methods raise OutputError: the cache folder cannot be written.
+        """
+        self.folder = libraries_folder() / name
+        self.index = {"format": 1, "title": name, "credit": "", "licence": "", "pictures": [], "left_out": []}
+        if (self.folder / INDEX).is_file():
+            self.index = read_index(self.folder)
+        self.index.update({key: value for key, value in about.items() if value}, complete=False)
+
+    def entry(self, source: str) -> dict | None:
+        """What is known of a source picture: an entry of `pictures`, or of `left_out`."""
+        return next((e for e in self.index["pictures"] + self.index["left_out"] if e["source"] == source), None)
+
+    def has(self, source: str) -> bool:
+        """Whether the prepared picture of `source` is there and whole."""
+        entry = self.entry(source)
+        if entry is None or "file" not in entry:
+            return False
+        path = self.folder / entry["file"]
+        return path.is_file() and hashlib.sha256(path.read_bytes()).hexdigest() == entry["sha256_prepared"]
+
+    def add_file(self, path: Path, source: str, **known) -> None:
+        """Prepare one picture and enter it; one that cannot be used is entered as left out, with the reason.
+
+        Args:
+            source: its name in the index.
+            known: more for the index; `mm_per_pixel` is that of the file and becomes that of the prepared picture.
+        """
+        try:
+            if path.stat().st_size > MAX_PICTURE_BYTES:
+                raise InputError(f"{path.name}: more than {MAX_PICTURE_BYTES >> 20} MiB; reduce the picture first")
+            digest = hashlib.sha256(path.read_bytes()).hexdigest()
+        except OSError as error:
+            return self.leave_out(source, f"{path.name}: cannot be read ({error.strerror})")
+        except InputError as error:
+            return self.leave_out(source, str(error))
+        if self.has(source) and self.entry(source)["sha256"] == digest:
+            return None
+        try:
+            reference = prepare_reference(read_picture(str(path)), path.name)
+        except InputError as error:
+            return self.leave_out(source, str(error), sha256=digest)
+        prepared = shrunk(reference, LONG_SIDE_PX)
+        if known.get("mm_per_pixel"):
+            known["mm_per_pixel"] *= max(reference.mask.shape) / max(prepared.mask.shape)
+        file = re.sub(r"[^A-Za-z0-9._-]+", "-", source.rsplit(".", 1)[0]).strip(".-") + f"-{digest[:8]}.png"
+        data = _png(prepared)
+        self._write(self.folder / file, data)
+        self._forget(source)
+        entry = {"file": file, "source": source, "sha256": digest, "removed": round(reference.removed, 4), **known}
+        self.index["pictures"].append({**entry, "sha256_prepared": hashlib.sha256(data).hexdigest()})
+        return self._save()
+
+    def leave_out(self, source: str, why: str, **known) -> None:
+        """Enter a picture that cannot be used."""
+        log.warning("left out of the library: %s", why)
+        self._forget(source)
+        self.index["left_out"].append({"source": source, "why": why, **known})
+        self._save()
+
+    def finish(self) -> dict:
+        """Sort the pictures by their sources' natural order, mark the library as complete, and return its index."""
+        self.index["pictures"].sort(key=lambda entry: natural_key(Path(entry["source"])))
+        self.index["complete"] = True
+        self._save()
+        return self.index
+
+    def _forget(self, source: str) -> None:
+        for part in ("pictures", "left_out"):
+            self.index[part] = [entry for entry in self.index[part] if entry["source"] != source]
+
+    def _save(self) -> None:
+        self._write(self.folder / INDEX, (json.dumps(self.index, indent=1) + "\n").encode())
+
+    def _write(self, path: Path, data: bytes) -> None:
+        temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            temporary.write_bytes(data)
+            os.replace(temporary, path)
+        except OSError as error:
+            raise OutputError(
+                f"library {self.folder.name}: cannot be written in the cache folder ({error.strerror}); make room there"
+            ) from error
+        finally:
+            with contextlib.suppress(OSError):  # most often because it is not there
+                temporary.unlink()
+
+
+def _png(reference: Reference) -> bytes:
+    """PNG of a prepared reference in a margin: black outside the tissue, at least 1 inside."""
+    import cv2
+
+    rgb = np.where(reference.mask[..., None], np.maximum(reference.rgb, 1), 0).astype(np.uint8)
+    rgb = np.pad(rgb, ((_MARGIN_PX, _MARGIN_PX), (_MARGIN_PX, _MARGIN_PX), (0, 0)))
+    return cv2.imencode(".png", np.ascontiguousarray(rgb[..., ::-1]))[1].tobytes()

@@ -1,0 +1,358 @@
+"""The engine of a run: network, references on the grid, contrast curves; matches batches of slices."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..features import CONTEXT_WEIGHTS, unit_descriptors
+from ..features.components import PROJECTED_LAYERS, kept_energy, principal_components, project
+from ..features.kept import reference_features
+from ..matching.assignment import assign
+from ..matching.blending import blended, neighbours
+from ..matching.orientation import choose_way, turned
+from ..matching.tissue_guard import colors_on_grid
+from ..parameters import PRESETS
+from ..progress import Run
+from ..references.photograph import Reference, on_grid
+from ..scan.grid import Grid
+from ..scan.intensity import apply_curve, spreading_curve
+from ..scan.slices import sample_slices, slice_in_box, slice_on_grid
+from .prepare import Prepared
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from ..matching.analogy import Match
+    from .resume import RunStore
+
+log = logging.getLogger("MedColor")
+
+UNVOTED_TRUST = 1e-3  # of a group's mean colour, where the guard left no match: a fiftieth of the least trusted match
+MANY_REFERENCES = 7  # more are taken for one series, whose pictures all lie the same way
+
+
+class ReferenceOnGrid:
+    """A reference brought to the grid; its features are computed when a slice first needs them."""
+
+    def __init__(self, reference: Reference, grid: Grid, groups: np.ndarray | None = None) -> None:
+        """Args:
+        groups: (h, w) uint8 tissue groups of the picture, or None; see `guard`.
+        """
+        self.name = reference.name
+        self.grey, self.lab, self.mask = on_grid(reference, grid)
+        self.groups = None
+        if groups is not None:
+            self.lab, self.groups = colors_on_grid(groups, reference, grid, self.mask)
+        self.way = "as it is"
+        self.contrast = None
+
+    def turn(self, way: str) -> None:
+        """Lay the picture another way; see `orientation`."""
+        self.way = way
+        self.grey, self.lab, self.mask = (turned(values, way) for values in (self.grey, self.lab, self.mask))
+        if self.groups is not None:
+            self.groups = turned(self.groups, way)
+
+
+@dataclass(frozen=True)
+class ReferenceFeatures:
+    """What matching needs of a reference, on the device.
+
+    Attributes:
+        layers: features by layer, as components where `bases` has the layer; see `features.components`.
+        luminance: (1, 1, H, W) grey. mask: (H, W).
+    """
+
+    layers: dict
+    bases: dict
+    luminance: Tensor
+    mask: Tensor
+
+
+class WithinGroups:
+    """A batch of slices and one reference whose matches stay inside tissue groups; see `guard`.
+
+    A pixel for which no vote of its own group is found takes its group's mean colour, which counts so little that every
+    match nearby outweighs it.
+    """
+
+    def __init__(self, groups, masks, reference: ReferenceOnGrid, missing: Sequence[int], count: int, device) -> None:
+        """Args:
+        groups: (N, H, W) uint8, masks: (N, H, W) bool of the slices. missing: groups that the reference lacks; they are
+            matched freely. count: number of groups.
+        """
+        self._groups, self._masks, self._reference = groups, masks, reference
+        self._free = np.isin(groups, missing)
+        self._count, self._device = count, device
+
+    def channels(self) -> tuple[Tensor, Tensor]:
+        """`Context.groups`."""
+        return tuple(
+            self._tensor((groups[:, None] == np.arange(self._count)[:, None, None]) & mask[:, None]).float()
+            for groups, mask in (
+                (self._groups, self._masks),
+                (self._reference.groups[None], self._reference.mask[None]),
+            )
+        )
+
+    def colors(self, found: Match, lab: Tensor) -> tuple[Tensor, Tensor]:
+        """T' (N, 3, H, W), and (N, H, W) bool where a vote of the own group was found."""
+        from ..matching.vote import matched_within_groups
+
+        own = self._tensor(np.where(self._free, -1, self._groups.astype(np.int64)))
+        other = self._tensor(self._reference.groups.astype(np.int64))
+        return matched_within_groups(found.field, found.layer, lab, own, other)
+
+    def completed(self, lab: np.ndarray, unvoted: np.ndarray) -> np.ndarray:
+        """Matched colours (N, H, W, 3) with the group's mean colour where no vote was found."""
+        lab = lab.copy()
+        for index in np.unique(self._groups[unvoted]):
+            mean = self._reference.lab[self._reference.mask & (self._reference.groups == index)].mean(axis=0)
+            lab[unvoted & (self._groups == index)] = mean
+        return lab
+
+    def _tensor(self, values: np.ndarray) -> Tensor:
+        import torch
+
+        return torch.from_numpy(values).to(self._device)
+
+
+class Engine:
+    """The network, the references' features and the contrast curves: everything that slices share."""
+
+    def __init__(self, prepared: Prepared, run: Run, store: RunStore | None = None) -> None:
+        from ..features import make_extractor
+        from ..matching.reconstruction import make_reconstruction
+
+        self.prepared, self.run, self.store = prepared, run, store
+        self.settings, self.grid, self.device = prepared.settings, prepared.grid, prepared.plan.device
+        preset = PRESETS[self.settings.preset]
+        self.stop_layer, self.uses_context = preset.stop_layer, preset.context
+        self.components = self.settings.components
+        self.layers = tuple(range(5, self.stop_layer - 1, -1))
+        self.extractor = make_extractor(prepared.plan.features, self.device)
+        self.reconstruct = make_reconstruction(self.settings.reconstruction, self.extractor)
+        pictures = prepared.groups.pictures if prepared.groups else (None,) * len(prepared.references)
+        self.references = [ReferenceOnGrid(r, self.grid, own) for r, own in zip(prepared.references, pictures)]
+        self.unmatched: dict[int, float] = {}
+        self._features: dict[int, ReferenceFeatures] = {}
+        self.kept: dict[int, bool] = {}
+        self.energy: dict[int, dict[int, float]] = {}  # reference -> layer -> share of the features in their components
+        with run.timed("orientation"):
+            self._turn_references()
+        self.choice = self._choose_references()
+        self.neighbours = {} if self.assigned == "freely" else neighbours(self.choice)
+        self.guide_curve = self._spread_guide() if prepared.plan.smoother == "regression" else None
+        with run.timed("contrast"):
+            for index in sorted(set(self.choice.values())):
+                self._learn_contrast(index)
+
+    def slice_on_grid(self, k: int) -> tuple[np.ndarray, np.ndarray]:
+        """Display grey and body mask (H, W) of slice k on the grid."""
+        prepared = self.prepared
+        return slice_on_grid(prepared.view, prepared.body, prepared.window, self.grid, k)
+
+    def groups_on_grid(self, ks: Sequence[int]) -> np.ndarray:
+        """(N, H, W) uint8 tissue groups of slices on the grid; only with a guard."""
+        boxes = self.prepared.body.boxes
+        return np.stack([self.prepared.groups.on_grid(k, boxes[k], self.grid) for k in ks])
+
+    def slice_in_box(self, k: int) -> tuple[np.ndarray, np.ndarray]:
+        """Display grey (rows, cols) and body coverage 0..1 of slice k, cut to the body's box, at full resolution."""
+        return slice_in_box(self.prepared.view, self.prepared.body, self.prepared.window, k)
+
+    def features_of(self, index: int) -> ReferenceFeatures:
+        """Features of a reference, computed once for all slices; of several references the last two are kept."""
+        import torch
+
+        if index not in self._features:
+            while len(self._features) >= 2:
+                del self._features[next(iter(self._features))]
+            reference = self.references[index]
+            luminance = torch.from_numpy(reference.grey)[None, None].to(self.device)
+            layers, self.kept[index] = reference_features(self.extractor, luminance, self.layers)
+            bases = self._bases(layers)
+            self.energy[index] = {layer: kept_energy(layers[layer], basis) for layer, basis in bases.items()}
+            layers = {layer: project(values, bases.get(layer)) for layer, values in layers.items()}
+            mask = torch.from_numpy(reference.mask).to(self.device)
+            self._features[index] = ReferenceFeatures(layers, bases, luminance, mask)
+        return self._features[index]
+
+    def _bases(self, layers: dict) -> dict:
+        """Layer -> basis on which its features are compared, for layers that have more channels."""
+        if self.components is None:
+            return {}
+        wanted = [n for n in layers if n in PROJECTED_LAYERS and layers[n].shape[1] > self.components]
+        return {layer: principal_components(layers[layer], self.components) for layer in wanted}
+
+    def painted_in_box(self, k: int) -> np.ndarray:
+        """(rows, cols) bool: where slice k is coloured, cut to the body's box."""
+        j0, j1, i0, i1 = self.prepared.body.boxes[k]
+        return self.prepared.body.painted(k, self.prepared.view[k])[j0:j1, i0:i1]
+
+    def forget_features(self) -> None:
+        """Make the references' features anew at the next match, for example after `layers` has been changed."""
+        self._features.clear()
+
+    def slices_on_grid(self, ks: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+        """`slice_on_grid` of several slices: greys, masks (N, H, W)."""
+        greys, masks = zip(*(self.slice_on_grid(k) for k in ks))
+        return np.stack(greys), np.stack(masks)
+
+    def match(self, ks: Sequence[int], index: int):
+        """Match slices `ks` with reference `index`, blended with their neighbouring reference where they have one.
+
+        Args:
+            ks: all with the same `references_of`.
+
+        Returns:
+            greys and masks (N, H, W) on the grid, matched colours T' (N, H, W, 3) L*a*b*, and the trust in each slice (None
+            where nothing reads it).
+        """
+        own = self._match_one(ks, index)
+        if ks[0] not in self.neighbours:
+            return own
+        other = self._match_one(ks, self.neighbours[ks[0]].index)
+        return blended(own, other, np.array([self.neighbours[k].share for k in ks]))
+
+    def references_of(self, k: int) -> tuple[int, ...]:
+        """Indices of the references that slice k is matched with: its own and, where it has one, its neighbouring one."""
+        return (self.choice[k], self.neighbours[k].index) if k in self.neighbours else (self.choice[k],)
+
+    @property
+    def reads_trust(self) -> bool:
+        """Whether anything reads how far matches can be trusted."""
+        return self.settings.weighs_matches or self.settings.confidence
+
+    def _match_one(self, ks: Sequence[int], index: int):
+        """Match slices with one reference, or take up what an interrupted run kept in `store`."""
+        import torch
+
+        from ..matching.vote import matched_colors
+
+        reference, store = self.references[index], self.store
+        greys, masks = self.slices_on_grid(ks)
+        matched = apply_curve(greys, reference.contrast.curve) * masks
+        stored = store.load(ks, index, self.device) if store else None
+        within = None if reference.groups is None else self._within(ks, index, masks)
+        found = stored or self._analogy(index, matched, masks, within)
+        self.searched = found.searched
+        with self.run.timed("matching"):
+            own_lab = torch.from_numpy(reference.lab.astype(np.float32)).permute(2, 0, 1)[None].to(self.device)
+            if within is None:
+                lab = matched_colors(found.field, found.layer, own_lab)
+            else:
+                lab, voted = within.colors(found, own_lab)
+        if store and not stored:
+            store.save(ks, index, found)
+        lab = lab.permute(0, 2, 3, 1).float().cpu().numpy()
+        unvoted = None
+        if within is not None:
+            unvoted = masks & ~voted.cpu().numpy()
+            lab = within.completed(lab, unvoted)
+            for k, mask, without in zip(ks, masks, unvoted):
+                self.unmatched[k] = max(self.unmatched.get(k, 0.0), float(without.sum() / max(mask.sum(), 1)))
+        trusts = self._trusts(found, reference, matched, masks, lab, unvoted) if self.reads_trust else [None] * len(ks)
+        return greys, masks, lab, trusts
+
+    def _within(self, ks: Sequence[int], index: int, masks: np.ndarray) -> WithinGroups:
+        """How slices and reference `index` are kept inside the groups of the guard."""
+        groups, reference = self.prepared.groups, self.references[index]
+        own = self.groups_on_grid(ks)
+        return WithinGroups(own, masks, reference, groups.missing[index], len(groups), self.device)
+
+    def _analogy(self, index: int, matched: np.ndarray, masks: np.ndarray, within: WithinGroups | None = None) -> Match:
+        """The correspondence of slices (N, H, W) in the photograph's contrast with reference `index`."""
+        import torch
+
+        from ..matching.analogy import Context, deep_image_analogy
+
+        reference, own = self.references[index], self.features_of(index)
+        luminance = torch.from_numpy(matched)[:, None].to(self.device)
+        with self.run.timed("features"):
+            features = self.extractor.extract(luminance, self.layers)
+            features = {layer: project(values, own.bases.get(layer)) for layer, values in features.items()}
+        context = None
+        if self.uses_context:
+            position, grey = CONTEXT_WEIGHTS[self.extractor.name]
+            context = Context(position, grey * reference.contrast.trust, luminance, own.luminance)
+        if within is not None:
+            context = replace(context or Context(0.0, 0.0, None, None), groups=within.channels())
+        with self.run.timed("matching"):
+            return deep_image_analogy(
+                features,
+                own.layers,
+                torch.from_numpy(masks).to(self.device),
+                own.mask,
+                self.stop_layer,
+                context,
+                self.reconstruct,
+                seed=self.settings.seed,
+                keep_reverse=self.reads_trust,
+            )
+
+    def _trusts(self, found, reference, matched, masks, lab, unvoted=None) -> list:
+        from ..color.lab import lightness_to_gray
+        from ..matching.confidence import LEAST_TRUST, LIKENESS_RANGE, consistency, in_range, on_full_grid, trust_of
+
+        home = on_full_grid(consistency(found.field, found.reverse), masks.shape[1:])
+        alike = on_full_grid(in_range(found.likeness, *LIKENESS_RANGE[self.extractor.name]), masks.shape[1:])
+        confidence = (home * alike + LEAST_TRUST).cpu().numpy() * masks
+        if unvoted is not None:
+            confidence[unvoted] = UNVOTED_TRUST
+        seen = np.clip(lightness_to_gray(lab[..., 0].astype(np.float64)), 0, 1)
+        inverse = reference.contrast.inverse
+        return [trust_of(*planes, inverse) for planes in zip(confidence, matched, seen)]
+
+    def _turn_references(self) -> None:
+        """Find out which way up the references lie: each for itself, or many (a series of photographs) together."""
+        greys, masks = self.slices_on_grid(sample_slices(self.prepared.plan.slices))
+        few = self.references if len(self.references) <= MANY_REFERENCES else sample_slices(self.references)
+        ways = [choose_way(greys, masks, r.grey, r.mask) for r in few]
+        if len(few) < len(self.references):
+            ways = [max(set(ways), key=ways.count)] * len(self.references)
+        for reference, way in zip(self.references, ways):
+            if way != "as it is":
+                log.info("reference %s lies %s", reference.name, way)
+                reference.turn(way)
+
+    def _spread_guide(self) -> np.ndarray:
+        boxes = [self.slice_in_box(k) for k in sample_slices(self.prepared.plan.slices)]
+        return spreading_curve(np.concatenate([grey[cover > 0.5] for grey, cover in boxes]))
+
+    def _learn_contrast(self, index: int) -> None:
+        import torch
+
+        from ..matching.analogy import deep_image_analogy
+        from ..matching.coarse import mean_inside
+        from ..matching.contrast import match_contrast
+
+        reference, needed = self.references[index], self.features_of(index)
+        own = [k for k, chosen in self.choice.items() if chosen == index]
+        greys, masks = self.slices_on_grid(sample_slices(own))
+        mask_tensor = torch.from_numpy(masks).to(self.device)
+
+        def coarse_similarity(candidate: np.ndarray) -> float:
+            features = self.extractor.extract(torch.from_numpy(candidate)[:, None].to(self.device), (5,))
+            found = deep_image_analogy(features, needed.layers, mask_tensor, needed.mask, 5)
+            return mean_inside(found.similarity, mask_tensor)
+
+        reference.contrast = match_contrast(greys, masks, reference.grey, reference.mask, coarse_similarity)
+        log.info("contrast for %s: %s", reference.name, reference.contrast.describe())
+
+    def _choose_references(self) -> dict[int, int]:
+        """Slice -> index of its reference: the only one, or by likeness (cosine of descriptors) and order."""
+        slices = self.prepared.plan.slices
+        self.assigned = "freely"
+        if len(self.references) == 1:
+            return dict.fromkeys(slices, 0)
+        with self.run.timed("recommendation"):
+            library = unit_descriptors(self.extractor, (r.grey for r in self.references), self.device)
+            queries = unit_descriptors(self.extractor, (self.slice_on_grid(k)[0] for k in slices), self.device)
+            choice, self.assigned = assign(queries @ library.T)
+        return dict(zip(slices, choice.tolist()))

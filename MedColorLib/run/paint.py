@@ -1,0 +1,231 @@
+"""Stage *paint*: matched slices, in the order of the stack, become pictures in the result."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import replace
+from itertools import zip_longest
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..scan.grid import from_grid
+from .engine import Engine
+from .prepare import Prepared
+
+if TYPE_CHECKING:
+    from ..coloring.transfer import SliceMatch, TransferParameters
+
+Map = Callable[..., Iterator]  # like the built-in `map`
+_NOTHING = np.zeros((), np.float32)  # evidence of a group that a slice does not have
+
+
+@contextmanager
+def side_by_side() -> Iterator[Map]:
+    """A `map` for the slices of a batch, each on a thread of its own; torch, too, has one thread for each.
+
+    Their arrays are too small to be worth several threads each. The result does not depend on the number of threads.
+    """
+    import torch
+
+    from ..device import one_thread
+
+    with ThreadPoolExecutor(torch.get_num_threads(), "MedColor colour") as pool:
+
+        def each(function, *arguments):
+            with one_thread():
+                return list(pool.map(function, *arguments))
+
+        yield each
+
+
+class Painter:
+    """Colours slices from their matches and, where matches are weighed, from the evidence of their neighbours, too."""
+
+    def __init__(
+        self,
+        prepared: Prepared,
+        engine: Engine,
+        stack: np.ndarray | None,
+        confidence: np.ndarray | None = None,
+        each: Map = map,
+    ) -> None:
+        """Args:
+        stack: (slice, row, col, 3) uint8 to be filled, in the order of the stack; None colours for nothing (a probe).
+        confidence: (slice, row, col) uint8 to be filled with per cent, or None.
+        each: how work on several slices is done that do not depend on each other; see `side_by_side`.
+        """
+        from ..coloring.coherence import SliceAverage, frames
+        from ..coloring.transfer import TransferParameters
+
+        settings, plan = prepared.settings, prepared.plan
+        self.clipped = 0
+        self.trusted: dict[int, float] = {}
+        self.agreement: dict[int, float] = {}
+        self.saturation: dict[int, float] = {}
+        self._engine, self._stack, self._confidence, self._boxes = engine, stack, confidence, prepared.body.boxes
+        self._weighs = settings.weighs_matches
+        options = settings.smoother_options
+        self._parameters = TransferParameters(
+            plan.smoother, settings.luminance, settings.resolved_gamma, engine.guide_curve, options
+        )
+        spacing, sigma = prepared.slice_spacing_mm, settings.coherence_mm
+        self._groups = prepared.groups
+        names = (None,) if self._groups is None else range(len(self._groups))
+        self._evidence = {name: Evidence(plan.slices, spacing, sigma, self._parameters) for name in names}
+        self._means, self._mean = SliceAverage(plan.slices, spacing, sigma), {}
+        self.uncolored = 0
+        chosen = list(plan.slices)
+        self._frames = dict(zip(chosen, frames(self._boxes[chosen], spacing, sigma)))
+        self._region = prepared.region[1:]
+        self._last, self._each = None, each
+
+    def add(self, ks: Sequence[int], matches) -> None:
+        """Colour what can be coloured now that slices `ks` are matched; None: the same match as the slice before."""
+        from ..coloring.transfer import SliceMatch
+
+        if matches is not None:
+            self._last = [(grey, mask, lab, trust) for grey, mask, lab, trust in zip(*matches)]
+        found = {}
+        for n, k in enumerate(ks):
+            grey, mask, lab, trust = self._last[n] if matches is not None else self._last[-1]
+            if trust is not None:
+                self.trusted[k], self.agreement[k] = round(trust.trusted_fraction, 4), round(trust.agreement, 4)
+                self._put_confidence(k, trust)
+            found[k] = SliceMatch(lab, grey, mask, trust, self._frames[k])
+        colored = self._gathered(found) if self._weighs else self._each(self._color_alone, found, found.values())
+        for k, rgb, clipped, uncolored in colored:
+            self.clipped += clipped
+            self.uncolored += uncolored
+            self._paste(self._stack, k, rgb)
+
+    def _gathered(self, found: dict[int, SliceMatch]) -> Iterator[tuple[int, np.ndarray, int, int]]:
+        """Add slices' evidence to what is known of colour and grey; slices whose neighbours are all in are coloured."""
+        from ..matching.confidence import saturation
+
+        for k, match in found.items():
+            self._mean.update(self._means.push(k, np.float64(match.trust.mean)))
+        by_group = [self._by_group(k, match) for k, match in found.items()]
+        streams = [
+            evidence.add(dict(zip(found, own)), self._each)
+            for evidence, own in zip(self._evidence.values(), zip(*by_group))
+        ]
+        ready = list(zip_longest(*streams))  # all have the same slices ready
+        for (k, *_), *_others in ready:
+            self.saturation[k] = saturation(self._mean.pop(k))
+        return self._each(self._color, ready)
+
+    def _by_group(self, k: int, match: SliceMatch) -> list[tuple[SliceMatch, bool]]:
+        """The slice's match for each group, with nothing outside it, and whether the slice has that group at all."""
+        if self._groups is None:
+            return [(match, True)]
+        on_grid, there = self._engine.groups_on_grid([k])[0], np.unique(self._groups.in_box(k, self._boxes[k]))
+        return [(replace(match, mask=match.mask & (on_grid == name)), name in there) for name in self._evidence]
+
+    def _color(self, ready: Sequence[tuple[int, np.ndarray | None, np.ndarray]]) -> tuple[int, np.ndarray, int, int]:
+        """Colour a slice from its evidence, of everything or group by group.
+
+        Returns:
+            Slice, (rows, cols, 3) uint8, number of pixels drawn into the gamut, number of pixels without any evidence.
+        """
+        from ..coloring.transfer import combine, to_picture
+
+        k = ready[0][0]
+        grey, mask = self._engine.slice_in_box(k)[0], self._engine.painted_in_box(k)
+        kept = self.saturation[k]
+        groups = None if self._groups is None else self._groups.in_box(k, self._boxes[k])
+        lab, uncolored = np.zeros((*grey.shape, 3)), 0
+        for name, (_, relation, rest) in zip(self._evidence, ready):
+            own = mask if groups is None else mask & (groups == name)
+            if groups is not None and not own.any():
+                continue
+            # each is 0 outside its own pixels
+            lab += combine(grey, own, relation, rest, self._parameters, self._frames[k], kept)
+            if groups is not None and not rest[..., -1].any():
+                uncolored += int(np.count_nonzero(own))
+        return k, *to_picture(lab, mask), uncolored
+
+    def _color_alone(self, k: int, match: SliceMatch) -> tuple[int, np.ndarray, int, int]:
+        """`_color` from the slice's own match."""
+        from ..coloring.transfer import transfer
+
+        grey, mask = self._engine.slice_in_box(k)[0], self._engine.painted_in_box(k)
+        return k, *transfer(grey, mask, match, self._parameters), 0
+
+    def _put_confidence(self, k: int, trust) -> None:
+        if self._confidence is not None:
+            j0, j1, i0, i1 = self._boxes[k]
+            share = from_grid(trust.share, (j1 - j0, i1 - i0)) * self._engine.painted_in_box(k)
+            self._paste(self._confidence, k, np.rint(100 * share).astype(np.uint8))
+
+    def _paste(self, stack: np.ndarray | None, k: int, values: np.ndarray) -> None:
+        if stack is None:
+            return
+        j0, j1, i0, i1 = self._boxes[k]
+        (row0, row1), (col0, col1) = self._region
+        top, bottom, left, right = max(j0, row0), min(j1, row1), max(i0, col0), min(i1, col1)
+        if top < bottom and left < right:
+            stack[k, top:bottom, left:right] = values[top - j0 : bottom - j0, left - i0 : right - i0]
+
+
+class Evidence:
+    """What matches say of colour, all or those of one tissue group, averaged along the stack."""
+
+    def __init__(
+        self, slices: Sequence[int], spacing_mm: float, sigma_mm: float, parameters: TransferParameters
+    ) -> None:
+        """Args: as for `coherence.SliceAverage` and `transfer`."""
+        from ..coloring.coherence import SliceAverage
+
+        self._relations, self._remainders = (SliceAverage(slices, spacing_mm, sigma_mm) for _ in range(2))
+        self._parameters = parameters
+        self._waiting: dict[int, tuple[SliceMatch, bool]] = {}
+        self._known: dict[int, np.ndarray | None] = {}
+
+    def add(
+        self, matches: dict[int, tuple[SliceMatch, bool]], each: Map
+    ) -> list[tuple[int, np.ndarray | None, np.ndarray]]:
+        """Add slices; returns (slice, relation, remainder) as `transfer.combine` takes them, for each that is complete now.
+
+        Args:
+            matches: slice -> its match, and whether it has the group; without it, it adds nothing, and what is returned for
+                it is not to be used.
+        """
+        self._waiting.update(matches)
+        if self._parameters.smoother == "regression":
+            sums = zip(matches, each(self._sums, matches.values()))
+            due = [found for k, own in sums for found in self._relations.push(k, own)]
+            relations = zip((k for k, _ in due), each(self._relation, due))
+        else:
+            relations = [(k, None) for k in matches]
+        complete = []
+        for k, relation, rest, guide in each(self._remainder, relations):
+            self._known[k] = relation
+            for ready, total in self._remainders.push(k, rest, guide):
+                complete.append((ready, self._known.pop(ready), total))
+        return complete
+
+    def _sums(self, match: tuple[SliceMatch, bool]) -> np.ndarray:
+        from ..coloring.transfer import relation_sums
+
+        own, there = match
+        return relation_sums(own, self._parameters) if there else _NOTHING
+
+    def _relation(self, due: tuple[int, np.ndarray]) -> np.ndarray | None:
+        from ..coloring.transfer import solve_relation
+
+        k, total = due
+        return solve_relation(total, self._parameters) if self._waiting[k][1] else None
+
+    def _remainder(
+        self, solved: tuple[int, np.ndarray | None]
+    ) -> tuple[int, np.ndarray | None, np.ndarray, np.ndarray]:
+        """What is averaged along the stack in its turn: slice, relation, remainder, guide."""
+        from ..coloring.transfer import remainder, remainder_guide
+
+        k, relation = solved
+        match, there = self._waiting.pop(k)
+        rest = remainder(match, relation, self._parameters) if there else _NOTHING
+        return k, relation, rest, remainder_guide(match, self._parameters)

@@ -1,0 +1,279 @@
+"""Stage *prepare*: everything that is decided before computing: order, body, window, references, device, plan."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..device import choose_device
+from ..errors import InputError, SettingsError
+from ..features import choose_features
+from ..matching.assignment import SERIES_SIZE
+from ..matching.tissue_guard import Groups, Guard, prepare_guard
+from ..parameters import PRESETS, Settings
+from ..plan import LeftOut, Plan
+from ..references.loading import describe_references, load_references
+from ..references.photograph import Reference
+from ..scan.body import Body, find_body
+from ..scan.grid import Grid, choose_grid
+from ..scan.intensity import Window, check_values, choose_window
+from ..scan.planes import PlaneBlocks, planes_of
+from ..scan.slices import SliceOrder, sample_slices, slice_order
+from ..volume import Volume
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """What `colorize` needs to start; nothing in it is a copy of the volume, but for planes that lie across it (`planes`)."""
+
+    volume: Volume
+    settings: Settings
+    order: SliceOrder
+    view: np.ndarray | PlaneBlocks
+    body: Body
+    window: Window
+    references: tuple[Reference, ...]
+    grid: Grid
+    repeats: dict[int, int]
+    plan: Plan
+    groups: Groups | None = None
+
+    @property
+    def region(self) -> tuple[tuple[int, int], ...]:
+        """(slice, row, column) ranges that are coloured: the user's region or everything."""
+        whole = tuple((0, n) for n in self.volume.array.shape)
+        return self.order.ranges(self.settings.region or whole, self.volume.array.shape)
+
+    @property
+    def slice_spacing_mm(self) -> float:
+        """Distance between neighbouring slices of the stack."""
+        return float(self.volume.spacing_mm[2 - self.order.axes[0]])
+
+
+def prepare(
+    volume: Volume, references: Sequence, settings: Settings, find_device: bool = True, guard: Guard | None = None
+) -> Prepared:
+    """Decide everything; see `Prepared`.
+
+    Args:
+        find_device: False leaves "auto" undecided, which needs no torch: enough for a plan.
+        guard: labels that matching and colour do not cross.
+
+    Raises:
+        InputError, SettingsError, WeightsError, DeviceError: with the remedy in the message.
+    """
+    note = check_values(volume.array, volume.name)
+    features = choose_features(settings.features)
+    if settings.reconstruction == "lbfgs" and features == "embedded":
+        raise SettingsError(
+            "reconstruction lbfgs inverts a network; the embedded features have none: use warp or vgg19"
+        )
+    device = choose_device(settings.device) if find_device else settings.device
+    prepared_references = load_references(references)
+    order = slice_order(volume.ijk_to_ras, settings.plane)
+    view = planes_of(order.view(volume.array))
+    grid = choose_grid(PRESETS[settings.preset].grid_px)
+    groups = guard and prepare_guard(guard, volume, prepared_references, settings, order, grid)
+    body = find_body(view)
+    chosen = _chosen_slices(body, settings, order, volume.array.shape)
+    window = _window(view, body, chosen, volume, settings)
+    repeats = _repeats([view, groups.view] if groups else [view], chosen)
+    plan = _plan(
+        volume, settings, order, view, body, chosen, window, prepared_references, grid, repeats, features, device
+    )
+    if note:
+        plan.steps["volume"] += f"; {note}"
+    if groups:
+        plan.steps["tissue guard"] = groups.describe(prepared_references)
+    return Prepared(volume, settings, order, view, body, window, prepared_references, grid, repeats, plan, groups)
+
+
+def _chosen_slices(body: Body, settings: Settings, order: SliceOrder, shape: tuple[int, int, int]) -> list[int]:
+    count = len(body.boxes)
+    start, stop = settings.slices or (0, count)
+    if start >= count:
+        raise SettingsError(f"slices {start}:{stop}: the volume has {count} slices (0:{count})")
+    if settings.region is not None:
+        (first, last), *_ = ranges = order.ranges(settings.region, shape)
+        if any(low >= high for low, high in ranges):
+            raise SettingsError(f"region {settings.region}: lies outside the volume of {shape} voxels (k, j, i)")
+        start, stop = max(start, first), min(stop, last)
+    chosen = [int(k) for k in body.slices if start <= k < stop]
+    if not chosen:
+        found = f"{body.slices[0]}:{body.slices[-1] + 1}"
+        raise InputError(f"slices {start}:{stop}: no body in this range; body was found in {found}")
+    return chosen
+
+
+def _window(view, body, chosen, volume, settings) -> Window:
+    sample = sample_slices(chosen, 24)
+    masks = np.stack([body.plane(k) > 0.5 for k in sample])
+    return choose_window(view[sample], masks if masks.any() else None, settings.window, volume.window)
+
+
+def _repeats(views: Sequence[np.ndarray], chosen: list[int]) -> dict[int, int]:
+    """Slice -> earlier neighbouring slice with exactly the same values in every view."""
+    repeats: dict[int, int] = {}
+    for before, k in zip(chosen, chosen[1:]):
+        if k == before + 1 and all(np.array_equal(view[k], view[before]) for view in views):
+            repeats[k] = repeats.get(before, before)
+    return repeats
+
+
+def _plan(volume, settings, order, view, body, chosen, window, references, grid, repeats, features, device) -> Plan:
+    preset, smoother = PRESETS[settings.preset], settings.resolved_smoother
+    boxes = body.boxes[chosen]
+    cropped = float(((boxes[:, 1] - boxes[:, 0]) * (boxes[:, 3] - boxes[:, 2])).sum()) / (len(chosen) * view[0].size)
+    network = {"embedded": "embedded descriptors (no download)", "vgg19": "VGG-19", "gray-vgg19": "gray VGG-19"}[
+        features
+    ]
+    layers = "layer 5" if preset.stop_layer == 5 else f"layers 5 to {preset.stop_layer}"
+    shape = " x ".join(map(str, volume.array.shape))
+    auto = " (auto)" if settings.features == "auto" else ""
+    searched = " at layers 5 to 3, in windows below" if preset.stop_layer < 3 else ""
+    luminance = "of the scan" if settings.luminance == "keep" else "of the reference (paper)"
+    gamma = "1/2 and 2" if settings.resolved_gamma else "off"
+    steps = {
+        "volume": f"{volume.name}, {shape} (k, j, i) {volume.array.dtype.name}; {order.describe()}",
+        "window": f"{window.low:g} to {window.high:g} ({window.source})",
+        "body": f"{len(chosen)} of {len(view)} slices, values above {body.threshold:g}",
+        "references": describe_references(references),
+        "features": f"{network}{auto}, {layers}, raster {grid.height} x {grid.width}, on {device}",
+        "matching": f"both directions, exhaustive{searched}",
+        "coherence": _coherence(settings, order, volume, len(chosen)),
+        **_blending(references, len(chosen)),
+        "colour": f"{smoother}, {_smoother_values(settings)}; luminance {luminance}; gamma {gamma}",
+    }
+    left_out = _left_out(settings, preset, smoother, features, view, body, chosen, references, repeats, cropped)
+    return Plan(steps, left_out, tuple(chosen), features, device, smoother)
+
+
+def _smoother_values(settings: Settings) -> str:
+    from ..filters import smoother_parameters
+    from ..filters.options import values_text
+
+    return values_text(smoother_parameters(settings.resolved_smoother, settings.smoother_options))
+
+
+def _blending(references: Sequence[Reference], count: int) -> dict[str, str]:
+    if len(references) < SERIES_SIZE or count < 2:
+        return {}
+    return {"blending": "where the references run along the body, slices between two of them are matched with both"}
+
+
+def _coherence(settings: Settings, order: SliceOrder, volume: Volume, count: int) -> str:
+    from ..coloring.coherence import MOST_SLICES, sigma_in_slices
+
+    if not settings.weighs_matches or settings.coherence_mm == 0 or count == 1:
+        return "each slice by itself"
+    spacing = float(volume.spacing_mm[2 - order.axes[0]])
+    narrowed = sigma_in_slices(spacing, settings.coherence_mm) == MOST_SLICES
+    reach = f"{MOST_SLICES:g} slices, the most" if narrowed else f"{settings.coherence_mm:g} mm"
+    return f"evidence averaged along the stack, sigma {reach}"
+
+
+def _left_out(settings, preset, smoother, features, view, body, chosen, references, repeats, cropped) -> list[LeftOut]:
+    entries = []
+    empty = len(view) - len(body.slices)
+    if empty:
+        entries.append(LeftOut("empty slices", "no body in them; they stay black", f"{empty} of {len(view)} slices"))
+    if settings.region is not None:
+        text = "not asked for; slices beyond are not matched, voxels beyond stay black"
+        entries.append(LeftOut("outside the region of interest", text, f"{len(body.slices) - len(chosen)} slices"))
+    outside = len(body.slices) - len(chosen)
+    if outside and settings.region is None:
+        entries.append(LeftOut("slices outside the range", "not asked for; they stay black", f"{outside} slices"))
+    entries.append(
+        LeftOut(
+            "air around the body", "each slice is cut to its body's box", f"{100 * (1 - cropped):.0f} % of the pixels"
+        )
+    )
+    if repeats:
+        entries.append(
+            LeftOut(
+                "repeated slices",
+                "same values as their neighbour; its matches are used again",
+                f"{len(repeats)} slices",
+            )
+        )
+    if preset.stop_layer > 1:
+        below = ", ".join(str(layer) for layer in range(preset.stop_layer - 1, 0, -1))
+        entries.append(
+            LeftOut(
+                f"layers {below}",
+                "going on to layer 1 (full) brought the thorax pair of the benchmark no nearer to the truth",
+                "over nine tenths of the matching",
+                "at most 0.3 CIEDE2000 there, in favour of leaving them out",
+            )
+        )
+    if not (settings.weighs_matches or settings.confidence):
+        entries.append(LeftOut("reverse map of the last layer", "nothing reads it", "one of two searches"))
+    if settings.components and features != "embedded":
+        entries.append(
+            LeftOut(
+                f"all but {settings.components} components of the features of layers 4 and finer",
+                "the photograph's features hardly have the others",
+                "two thirds to four fifths of each product",
+                "none on the mean of the benchmark's 15 pairs, at most 0.08 CIEDE2000 on one",
+            )
+        )
+    if settings.reconstruction == "warp" and features != "embedded":
+        entries.append(
+            LeftOut(
+                "L-BFGS deconvolution",
+                "the reference's own finer features are warped instead; --reconstruction lbfgs brings it back",
+                "an optimisation per layer and direction",
+                "below 0.01 CIEDE2000 on two thorax pairs at layer 3",
+            )
+        )
+    if len(references) == 1:
+        entries.append(
+            LeftOut(
+                "recommendation (fc6)",
+                "the reference was given",
+                "411 MB of weights" if features == "vgg19" else "one descriptor per slice",
+            )
+        )
+    if len(chosen) > 1 and len(references) == 1:
+        entries.append(
+            LeftOut(
+                "reference features for every slice",
+                _once(features),
+                f"{len(chosen) - 1} of {len(chosen)} extractions",
+            )
+        )
+    if 1 < len(references) < SERIES_SIZE and len(chosen) > 1:
+        text = f"fewer than {SERIES_SIZE} are taken for a set, each slice has the one most like it"
+        entries.append(LeftOut("blending of neighbouring references", text, "matching a slice twice"))
+    entries += _left_out_of_colour(settings, smoother)
+    entries.append(LeftOut("alpha volume", "renderers derive opacity from luminance", "a third of the output"))
+    return entries
+
+
+def _once(features: str) -> str:
+    return "computed once for all slices" + (
+        "" if features == "embedded" else " and kept on disk by content for the next run"
+    )
+
+
+def _left_out_of_colour(settings, smoother) -> list[LeftOut]:
+    entries = []
+    if settings.luminance == "keep":
+        entries.append(LeftOut("smoothing of L*", "the scan's own luminance is kept", "a third of the smoothing"))
+    entries.append(
+        LeftOut("second smoothing solve", "S(T') - S(X) = S(T' - X), the smoother is linear", "half of the smoothing")
+    )
+    if smoother == "regression":
+        entries.append(
+            LeftOut(
+                "smoothing at full resolution",
+                "what the regression leaves is as coarse as the matches: half the raster will do",
+                "three quarters or more of the smoothing",
+                "0.01 CIEDE2000 on the pairs of the benchmark",
+            )
+        )
+    if not settings.confidence:
+        entries.append(LeftOut("confidence volume", "not asked for", "a quarter of the output"))
+    return entries
