@@ -18,7 +18,7 @@ from volume_samples import GEOMETRIES, LPS, geometry, save_nrrd, voxels
 from MedColorLib.errors import InputError
 from MedColorLib.io.files import file_sha256, read_volume
 
-DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
+DATA = Path(__file__).resolve().parents[4] / "shared" / "data"
 DTYPES = [np.dtype(f"{kind}{size}") for kind in "iu" for size in (1, 2, 4, 8)] + [np.dtype("f4"), np.dtype("f8")]
 
 

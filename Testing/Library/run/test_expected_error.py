@@ -15,7 +15,7 @@ from MedColorLib.errors import InputError
 from MedColorLib.run.estimate import Estimate, estimate
 from MedColorLib.run.expected_error import LEAST_TRUSTED, NOT_MEASURED, TABLE, ExpectedError, expected_error
 
-RESULTS = Path(__file__).parents[1] / "Benchmark" / "results"
+RESULTS = Path(__file__).parents[2] / "Benchmark" / "results"
 BALANCED = Settings(preset="balanced", features="embedded", device="cpu")
 
 

@@ -17,7 +17,7 @@ from MedColorLib.filters.domain_transform import domain_transform
 from MedColorLib.filters.guided import guided_filter
 from MedColorLib.filters.wls import wls
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 WRONG = {
     "fgs": [{"lam": -1.0}, {"sigma": float("nan")}, {"schedule": "?"}],
     "guided": [{"radius": -1}, {"radius": 1.5}, {"eps": 0.0}, {"eps": float("nan")}],

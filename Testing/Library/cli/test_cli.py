@@ -21,7 +21,7 @@ from MedColorLib.matching import vote
 from MedColorLib.parameters import Settings
 
 pytestmark = pytest.mark.usefixtures("small_raster", "without_weights")
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 COMMANDS = ("colorize", "batch", "render", "recommend", "library", "weights", "demo", "bench")
 
 

@@ -13,7 +13,7 @@ from MedColorLib.errors import InputError
 from MedColorLib.io.files import read_volume
 from MedColorLib.volume import Volume
 
-MR = Path(__file__).resolve().parents[3] / "shared" / "data" / "mr_head_t1_dicom"
+MR = Path(__file__).resolve().parents[4] / "shared" / "data" / "mr_head_t1_dicom"
 LPS = np.diag([-1.0, -1.0, 1.0])
 AXIAL = (1, 0, 0, 0, 1, 0)
 OBLIQUE = (0.8, 0.6, 0, -0.6, 0.8, 0)

@@ -1,0 +1,41 @@
+"""What the tests of batch share: samples and small helpers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from MedColorLib import Settings, colorize, read_color_volume
+
+DRAFT = Settings(preset="draft", features="embedded", device="cpu")
+
+
+GOOD = ("a.nrrd", "b/c.nrrd", "b/d.nrrd", "e.nrrd")
+
+
+OPTIONS = ("-r", "section.png", "--preset", "draft", "--features", "embedded", "--device", "cpu")
+
+
+def states(result) -> dict[str, str]:
+    return {outcome.volume: outcome.state for outcome in result.outcomes}
+
+
+def expected_states(state: str) -> dict[str, str]:
+    return {**dict.fromkeys(GOOD, state), "broken.nrrd": "failed"}
+
+
+def assert_whole(results: Path, settings: Settings = DRAFT) -> None:
+    """Every good volume has exactly the voxels of a run by itself, and nothing else lies there."""
+    from MedColorLib import read_volume
+
+    names = {path.relative_to(results).as_posix() for path in results.rglob("*") if path.is_file()}
+    stems = [name.removesuffix(".nrrd") for name in GOOD]
+    assert names == {"batch.json", *(f"{stem}-colored.{kind}" for stem in stems for kind in ("nrrd", "json"))}
+    for name, stem in zip(GOOD, stems):
+        plain = colorize(read_volume(Path("in", name)), ["section.png"], settings)
+        np.testing.assert_array_equal(read_color_volume(results / f"{stem}-colored.nrrd").rgb, plain.rgb)
+
+
+def tree(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}

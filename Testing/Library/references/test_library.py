@@ -1,0 +1,183 @@
+"""Libraries of references: added, listed, removed, by folder or name, on the command line."""
+
+from __future__ import annotations
+
+import json
+import logging
+import re
+
+import cv2
+import numpy as np
+import pytest
+from library_samples import NAME
+
+from MedColorLib.cli.main import main
+from MedColorLib.errors import Cancelled, InputError, OutputError, SettingsError
+from MedColorLib.phantom import section
+from MedColorLib.references import library
+from MedColorLib.references.loading import load_references
+from MedColorLib.references.photograph import prepare_reference
+from MedColorLib.references.visible_human import check_png
+
+pytestmark = pytest.mark.usefixtures("cache")
+
+
+class TestAdd:
+    @pytest.fixture
+    def folder(self, tmp_path):
+        (tmp_path / "My Atlas" / "more").mkdir(parents=True)
+        for number, level in ((2, -0.4), (10, 0.1)):
+            cv2.imwrite(str(tmp_path / "My Atlas" / f"plate {number}.png"), section(level)[..., ::-1])
+        big = cv2.resize(section(0.5), (2480, 2640))
+        cv2.imwrite(str(tmp_path / "My Atlas" / "more" / "big.jpg"), big[..., ::-1])
+        return tmp_path / "My Atlas"
+
+    def test_pictures_are_cut_and_bounded(self, folder, cache):
+        name, index = library.add_library(folder, credit="Somebody")
+        assert name == "my-atlas" and index["complete"] and index["credit"] == "Somebody"
+        assert [entry["source"] for entry in index["pictures"]] == ["more/big.jpg", "plate 2.png", "plate 10.png"]
+        references = load_references([name])
+        assert max(references[0].rgb.shape) <= 1024
+        whole = prepare_reference(section(-0.4))
+        assert references[1].rgb.shape == whole.rgb.shape
+        np.testing.assert_array_equal(references[1].mask, whole.mask)
+        difference = np.abs(references[1].rgb.astype(int) - whole.rgb)[whole.mask]
+        assert difference.max() <= 1  # black tissue is kept apart from the background
+
+    def test_added_twice_is_prepared_once(self, folder, monkeypatch):
+        library.add_library(folder)
+        prepared = []
+        monkeypatch.setattr(
+            library, "prepare_reference", lambda rgb, name: prepared.append(name) or prepare_reference(rgb)
+        )
+        cv2.imwrite(str(folder / "plate 11.png"), section(0.3)[..., ::-1])
+        _, index = library.add_library(folder)
+        assert prepared == ["plate 11.png"] and len(index["pictures"]) == 4
+
+    def test_what_cannot_be_used_is_named(self, folder, caplog):
+        (folder / "broken.png").write_bytes(b"no picture")
+        cv2.imwrite(str(folder / "grey.png"), np.arange(400, dtype=np.uint16).reshape(20, 20))
+        with caplog.at_level(logging.WARNING, "MedColor"):
+            _, index = library.add_library(folder)
+        assert [entry["source"] for entry in index["left_out"]] == ["broken.png", "grey.png"]
+        assert "broken.png" in caplog.text and len(index["pictures"]) == 3
+
+    def test_nothing_usable_leaves_no_library(self, tmp_path):
+        (tmp_path / "bad").mkdir()
+        with pytest.raises(InputError, match="bad holds no picture"):
+            library.add_library(tmp_path / "bad")
+        cv2.imwrite(str(tmp_path / "bad" / "blue.png"), np.full((60, 60, 3), (120, 74, 28), np.uint8))
+        with pytest.raises(InputError, match=r"none of 1 pictures in bad can be used; the first: .*no tissue"):
+            library.add_library(tmp_path / "bad")
+        assert library.list_libraries() == []
+        with pytest.raises(InputError, match="no folder"):
+            library.add_library(tmp_path / "gone")
+
+    @pytest.mark.parametrize("name", ["", "../up", "Großer Atlas", "a/b", ".hidden", "x" * 65])
+    def test_names_that_are_none(self, folder, name):
+        with pytest.raises(SettingsError, match="library name"):
+            library.add_library(folder, name)
+
+    def test_a_full_disk(self, folder, monkeypatch, cache):
+        cache.parent.mkdir(parents=True, exist_ok=True)
+        cache.write_text("a file in the way")
+        with pytest.raises(OutputError, match="cannot be written in the cache folder"):
+            library.add_library(folder)
+
+    def test_cancelled_and_taken_up_again(self, folder):
+        seen = []
+        with pytest.raises(Cancelled):
+            library.add_library(folder, progress=lambda *step: seen.append(step), cancelled=lambda: len(seen) >= 2)
+        assert [(row["pictures"], row["complete"]) for row in library.list_libraries()] == [(2, False)]
+        assert len(library.add_library(folder)[1]["pictures"]) == 3
+
+    def test_removed(self, folder):
+        name, _ = library.add_library(folder)
+        library.remove_library(name)
+        assert library.list_libraries() == []
+        for gone in (name, "..", ""):
+            with pytest.raises(InputError, match="there is none yet"):
+                library.remove_library(gone)
+
+    def test_a_damaged_index(self, folder, cache):
+        name, _ = library.add_library(folder)
+        (cache / name / "library.json").write_text("{")
+        with pytest.raises(InputError, match="missing or damaged; run `medcolor library remove my-atlas`"):
+            load_references([name])
+        assert library.list_libraries() == []
+        library.remove_library(name)
+
+
+class TestFolderOrName:
+    def test_a_folder_wins(self, tmp_path, monkeypatch):
+        (tmp_path / "atlas").mkdir()
+        cv2.imwrite(str(tmp_path / "atlas" / "a.png"), section(0.0)[..., ::-1])
+        library.add_library(tmp_path / "atlas")
+        assert library.library_folder("atlas") == library.find_library("atlas")
+        monkeypatch.chdir(tmp_path)
+        assert library.library_folder("atlas") == (tmp_path / "atlas").relative_to(tmp_path)
+
+    @pytest.mark.parametrize("name", ["nobody", "visible-human-male"])
+    def test_neither(self, name):
+        with pytest.raises(InputError, match=f"library {name}: no such folder, and no library is called {name}"):
+            library.library_folder(name)
+        with pytest.raises(InputError, match=f"reference: no file {name}, and no library is called {name}"):
+            load_references([name])
+
+
+class TestCommand:
+    def medcolor(self, *arguments) -> int:
+        try:
+            return main([str(a) for a in arguments])
+        except SystemExit as end:
+            return end.code
+
+    def test_fetch_list_remove(self, server, capsys):
+        line = ("library", "fetch", NAME, "--url", server.url, "--part", "head", "--part", "thorax")
+        assert self.medcolor(*line) == 2  # nobody to ask
+        told = capsys.readouterr()
+        assert "3 photographs, one every 5 mm; 3 to fetch, 0." in told.out and "Courtesy of the U.S." in told.out
+        assert told.err == "medcolor: library fetch: nobody can be asked here; add --yes to start the download\n"
+        assert self.medcolor(*line, "--yes") == 0
+        assert "library visible-human-male: 3 references. Courtesy of the U.S." in capsys.readouterr().out
+        assert self.medcolor("library", "list") == 0
+        assert re.search(r"visible-human-male\s+3 references, 0\.\d MB\. Courtesy", capsys.readouterr().out)
+        assert self.medcolor("library", "remove", NAME) == 0
+        assert self.medcolor("library", "remove", NAME) == 2
+
+    def test_without_a_connection(self, capsys):
+        assert self.medcolor("library", "fetch", NAME, "--yes", "--url", "https://127.0.0.1:9/") == 2
+        error = capsys.readouterr().err
+        assert (
+            error.startswith("medcolor: https://127.0.0.1:9/head/index.html: no connection") and error.count("\n") == 1
+        )
+
+    def test_add_and_use(self, tmp_path, capsys, ct):
+        (tmp_path / "plates").mkdir()
+        cv2.imwrite(str(tmp_path / "plates" / "a.png"), section(0.0)[..., ::-1])
+        assert self.medcolor("library", "add", tmp_path / "plates", "--name", "mine", "--credit", "Me") == 0
+        assert "library mine: 1 references. Me" in capsys.readouterr().out
+        from MedColorLib import Settings, colorize
+
+        settings = Settings(preset="draft", features="embedded", slices=(4, 6))
+        report = colorize(ct.volume, ["mine"], settings).report
+        assert report["plan"]["steps"]["references"].endswith("; Me")
+        assert [reference["credit"] for reference in report["references"]] == ["Me"]
+
+
+def test_png_check_on_every_length_and_on_trailing_bytes():
+    data = cv2.imencode(".png", np.zeros((3, 4, 3), np.uint8))[1].tobytes()
+    check_png(data, (3, 4))
+    for length in range(len(data)):
+        with pytest.raises(ValueError, match="PNG"):
+            check_png(data[:length], (3, 4))
+    with pytest.raises(ValueError, match="PNG"):
+        check_png(data + b"more than that", (3, 4))
+
+
+def test_the_index_is_plain_json(tmp_path, cache):
+    (tmp_path / "one").mkdir()
+    cv2.imwrite(str(tmp_path / "one" / "a.png"), section(0.0)[..., ::-1])
+    name, index = library.add_library(tmp_path / "one")
+    text = (cache / name / "library.json").read_text(encoding="utf-8")
+    assert json.loads(text) == index and str(tmp_path) not in text

@@ -1,0 +1,32 @@
+"""What the tests of resume share: samples and small helpers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from MedColorLib import Settings, colorize
+from MedColorLib.errors import Cancelled
+
+
+def settings(**changes) -> Settings:
+    return Settings(
+        **{"preset": "draft", "features": "embedded", "device": "cpu", "batch": 2, "coherence_mm": 20.0, **changes}
+    )
+
+
+def broken_off(after: int, *arguments, resume) -> None:
+    """Cancel before step `after` of the run."""
+    steps = []
+    with pytest.raises(Cancelled):
+        colorize(
+            *arguments,
+            progress=lambda fraction, text: steps.append(text),
+            cancelled=lambda: len(steps) >= after,
+            resume=resume,
+        )
+
+
+def files_of(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.rglob("*") if path.is_file())
