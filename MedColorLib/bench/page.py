@@ -27,13 +27,13 @@ _TITLES = {
 }
 _PLOTS = {
     "pipeline": ("pipeline",),
-    "quality": ("quality",),
+    "quality": ("seen", "quality"),
     "smoothing": ("smoothing", "rounding"),
     "correspondence": ("correspondence",),
     "profile": ("profile",),
     "scaling": ("scaling",),
 }
-_OPEN = ("summary", "stability", "regions", "calls", "features", "beaten", "coherence")
+_OPEN = ("summary", "stability", "regions", "calls", "features", "beaten", "coherence", "seen")
 _LONG = 60  # rows from which a table is folded
 
 

@@ -25,7 +25,10 @@ def draw_all(suites: dict[str, Suite]) -> dict[str, bytes]:
         "profile": ("profile", plots_suites.profile),
         "scaling": ("scaling", plots_suites.scaling),
     }
-    return {name: draw(suites[suite]) for name, (suite, draw) in plots.items() if suite in suites}
+    drawn = {name: draw(suites[suite]) for name, (suite, draw) in plots.items() if suite in suites}
+    if "seen" in getattr(suites.get("quality"), "tables", ()):
+        drawn["seen"] = plots_suites.seen(suites["quality"])
+    return drawn
 
 
 def _finished(figure, axes, plain_errors: bool = True) -> bytes:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from .figures import COLORS, MARKERS, figure_of, png_of
+from .measures import SEEN_BARS
 from .suite_profile import PER_SLICE
 from .tables import Suite
 
@@ -29,6 +30,41 @@ def quality(suite: Suite) -> bytes:
     bars.set(xlabel="mean CIEDE2000", title=f"{first['section']}, luminance {first['remap']}")
     plane.set(xlabel="seconds per slice of 256 x 256", title="seconds of the same lines")
     _plain_ticks(plane.xaxis)
+    return png_of(figure)
+
+
+def seen(suite: Suite) -> bytes:
+    """Error against detail on the CT head, and a bar a method for what a viewer sees, with the limits of the defaults."""
+    table = suite.tables["seen"]
+    bars_of = [row for row in table.where(method="default") if row["measure"] in SEEN_BARS and row["limit"] is not None]
+    methods = list(dict.fromkeys(row["method"] for row in table.where()))
+    figure, (plane, bars) = figure_of(2, 6.0, 1.2 + 0.13 * len(bars_of) * (len(methods) + 1), shared=False)
+    for axis in (plane, bars):
+        axis.set(xscale="linear", yscale="linear")
+    for number, method in enumerate(methods):
+        error = table.where(measure="CT slice 122", method=method)
+        detail = table.where(measure="detail, correlation", what="CT head", method=method)
+        style = {"color": (*COLORS, "#F0E442", "0.6")[number], "label": method}
+        if error and detail:
+            plane.plot(detail[0]["value"], error[0]["value"], MARKERS[number % len(MARKERS)], **style)
+        for place, wanted in enumerate(bars_of):
+            row = table.where(measure=wanted["measure"], what=wanted["what"], method=method)
+            height = len(bars_of) - 1 - place - 0.8 * number / len(methods)
+            if row:
+                bars.barh(height, row[0]["value"], height=0.8 / len(methods), color=style["color"])
+    for place, wanted in enumerate(bars_of):
+        top = len(bars_of) - 1 - place
+        bars.plot([wanted["limit"]] * 2, [top + 0.1, top - 0.8], color="black", linewidth=1)
+    names = [f"{row['measure']}, {row['what']}" for row in bars_of]
+    bars.set_yticks(np.arange(len(bars_of))[::-1] - 0.35, names, fontsize=7)
+    bars.set(xlabel="mean CIEDE2000; the line is the limit", title="what a viewer sees")
+    plane.set(
+        xlabel="detail: mean local correlation",
+        ylabel="error: mean CIEDE2000 of the regions",
+        title="CT head, slice 122",
+    )
+    if plane.has_data():
+        plane.legend(fontsize=7)
     return png_of(figure)
 
 

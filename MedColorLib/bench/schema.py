@@ -8,6 +8,7 @@ from typing import Any
 from ..errors import InputError
 from . import (
     machine,
+    measures,
     real_volumes,
     regions,
     slabs,
@@ -35,6 +36,9 @@ TABLES = {
     "improvements": suite_quality.COLUMNS,
     "beaten": suite_quality.BEATEN_COLUMNS,
     "coherence": slabs.COLUMNS,
+    "seen": measures.COLUMNS,
+    "seen_regions": measures.REGION_COLUMNS,
+    "reference_warnings": measures.WARNING_COLUMNS,
     "stages": suite_profile.COLUMNS,
     "machine": machine.COLUMNS,
     "network": suite_profile.NETWORK_COLUMNS,
@@ -52,8 +56,9 @@ _VERDICTS = ("pass", "refused", "FAIL")
 _TEXT = {
     "section", "remap", "features", "method", "smoother", "what", "region", "scene", "start", "precision", "area", "case",
     "condition", "expected", "got", "verdict", "beside", "target", "baseline", "volume", "stage", "per", "unit",
+    "measure", "picture", "said",
 }  # fmt: skip
-_FLAGS = {"gamma", "met"}
+_FLAGS = {"gamma", "met", "right", "noticed"}
 
 
 def check_results(data: Any) -> None:

@@ -24,11 +24,12 @@ from pathlib import Path
 import numpy as np
 
 from ..color.difference import ciede2000
-from ..color.lab import linear_to_xyz, srgb_to_lab, srgb_to_linear, xyz_to_lab
+from ..color.lab import lab_to_linear, linear_to_xyz, srgb_to_lab, srgb_to_linear, xyz_to_lab
 from ..parameters import Settings
 from ..volume import ColorVolume, Volume
 from .drawn_regions import HEAD, THORAX, drawn
-from .pairs import REMAPS, SECTIONS, load_sections, make_pair
+from .pairs import REMAPS, SECTIONS, SIZE_PX, Pair, Section, make_pair, make_section
+from .quality import worst_patch
 
 Colorize = Callable[[Volume, list, Settings], ColorVolume]
 
@@ -36,7 +37,9 @@ CT_FILE, CT_SLICE = "vhf_head_ct.nrrd", 122
 CHEST_FILE = "chest_ct.nrrd"
 CHEST_SLICES = (40, 58)  # heart without liver; lungs, breasts, shoulder blades
 _NEIGHBOURS = 4  # slices on either side of the CT slice: body, window and coherence are found in three dimensions
-_GAINS = np.geomspace(0.25, 4, 129)
+GAINS = tuple(float(gain) for gain in np.geomspace(0.25, 4, 129))  # the middle one is 1
+EVERY_SIXTEENTH = np.zeros((SIZE_PX, SIZE_PX), bool)
+EVERY_SIXTEENTH[2::4, 2::4] = True
 
 HEAD_TARGET, HEAD_TARGET_REFERENCE = (6.0, 12.0), (4.0, 9.0)  # mean, worst: defaults; slider at the reference's
 CHEST_TARGET, FAT_TO_MUSCLE_TARGET = (8.0, 14.0), 30.0
@@ -102,9 +105,13 @@ def head_ct(colorize: Colorize, data: Path, settings: Settings | None = None) ->
 
 def score_head(rgb: np.ndarray, data: Path) -> Regions:
     """The same of a picture: rgb (512, 512, 3) uint8 of CT slice 122."""
-    photograph = _photograph(str(data / SECTIONS["head"]))
-    got = {name: median_lab(rgb, drawn(rgb.shape, shapes)) for name, (shapes, _) in HEAD.items()}
-    true = {name: median_lab(photograph, drawn(photograph.shape, shapes)) for name, (_, shapes) in HEAD.items()}
+    return by_regions(rgb, _photograph(str(data / SECTIONS["head"])), HEAD)
+
+
+def by_regions(rgb: np.ndarray, photograph: np.ndarray, regions: dict[str, tuple[tuple, tuple]]) -> Regions:
+    """Median colours of a result and a photograph, (rows, cols, 3) uint8 each, in regions drawn on both."""
+    got = {name: median_lab(rgb, drawn(rgb.shape, shapes)) for name, (shapes, _) in regions.items()}
+    true = {name: median_lab(photograph, drawn(photograph.shape, shapes)) for name, (_, shapes) in regions.items()}
     return compare(got, true)
 
 
@@ -132,32 +139,30 @@ def thorax_pairs(
     colorize: Colorize, data: Path, settings: Settings | None = None, seed: int = 0, remaps: tuple = tuple(SEEN_REMAPS)
 ) -> dict[str, Seen]:
     """The thorax photograph, mirrored, warped and seen in grey: error of the final sRGB, mean over the body."""
-    return {remap: seen_pair(colorize, data, remap, settings, seed) for remap in remaps}
+    section = section_of(str(data), "thorax")
+    return {remap: seen_pair(colorize, section, remap, settings, seed) for remap in remaps}
 
 
-def seen_pair(colorize: Colorize, data: Path, remap: str, settings: Settings | None = None, seed: int = 0) -> Seen:
+def seen_pair(
+    colorize: Colorize, section: Section, remap: str, settings: Settings | None = None, seed: int = 0
+) -> Seen:
     """One pair; `worst` is the mean of the worst patch of 16 x 16 pixels."""
-    section = next(s for s in _sections(str(data)) if s.name == "thorax")
     pair = pair_of(section, remap, seed)
     result = colorize(pair.volume, [section.rgb], replace(settings or Settings(), window=(0.0, 1.0)))
     got = srgb_to_lab(result.rgb[0].astype(np.float64) / 255)
-    return best_gain(lambda gain: _patches(ciede2000(got, exposed(pair.truth, gain)), pair.mask), _GAINS[::4])
+
+    def measure(gain: float) -> tuple[float, float]:
+        error = ciede2000(got, exposed(pair.truth, gain))
+        return float(error[pair.mask].mean()), worst_patch(error, pair.mask)
+
+    some = pair.mask & EVERY_SIXTEENTH  # enough to choose a gain from
+    return best_gain(measure, lambda gain: float(ciede2000(got[some], exposed(pair.truth[some], gain)).mean()))
 
 
-def pair_of(section, remap: str, seed: int):
-    """A pair as in `pairs.make_pair`, also for the remaps of this module."""
-    from . import pairs
-
-    if remap in REMAPS:
-        return make_pair(section, remap, seed)
-    pair = pairs.make_pair(section, "as it is", seed)
+def pair_of(section: Section, remap: str, seed: int) -> Pair:
+    """A pair as `pairs.make_pair` makes it, also for the remaps of this module."""
+    pair = make_pair(section, "as it is", seed)
     return replace(pair, remap=remap, grey=np.clip(SEEN_REMAPS[remap](pair.grey), 0, 1) * pair.mask)
-
-
-def _patches(error: np.ndarray, mask: np.ndarray) -> tuple[float, float]:
-    from .quality import worst_patch
-
-    return float(error[mask].mean()), worst_patch(error, mask)
 
 
 def compare(got: dict[str, np.ndarray], true: dict[str, np.ndarray]) -> Regions:
@@ -172,16 +177,19 @@ def compare(got: dict[str, np.ndarray], true: dict[str, np.ndarray]) -> Regions:
     return Regions(seen, errors, _plain(got), _plain(true))
 
 
-def best_gain(measure: Callable[[float], tuple[float, float]], gains: np.ndarray = _GAINS) -> Seen:
-    """`measure(gain)` gives mean and worst error; the gain with the smallest mean counts."""
-    mean, worst, gain = min((*measure(gain), float(gain)) for gain in gains)
-    return Seen(mean, worst, gain, *measure(1.0))
+def best_gain(measure: Callable[[float], tuple[float, float]], rough: Callable[[float], float] | None = None) -> Seen:
+    """The exposure gain with the smallest mean error, and the errors with it and without.
+
+    Args:
+        measure: gain -> mean and worst error. rough: gain -> mean error, to choose the gain by; None takes the measure's.
+    """
+    rough = rough or (lambda gain: measure(gain)[0])
+    gain = min(GAINS, key=rough)
+    return Seen(*measure(gain), gain, *measure(1.0))
 
 
 def exposed(lab: np.ndarray, gain: float) -> np.ndarray:
     """L*a*b* (..., 3) after `gain` in linear light, limited to what sRGB can show."""
-    from ..color.lab import lab_to_linear
-
     if gain == 1.0:
         return lab
     linear = np.clip(lab_to_linear(np.asarray(lab, np.float64)) * gain, 0, 1)
@@ -216,9 +224,10 @@ def _photograph(path: str) -> np.ndarray:
     return np.ascontiguousarray(cv2.imread(path)[..., ::-1])
 
 
-@lru_cache(maxsize=1)
-def _sections(folder: str) -> tuple:
-    return tuple(load_sections(Path(folder)))
+@lru_cache(maxsize=2)
+def section_of(folder: str, name: str) -> Section:
+    """One of the photographs (key of SECTIONS) on the raster of the benchmark, kept for the next measure."""
+    return make_section(name, _photograph(str(Path(folder) / SECTIONS[name])))
 
 
 @lru_cache(maxsize=2)
@@ -233,12 +242,13 @@ def chest_tissues(path: str, slices: tuple[int, int]) -> dict[str, np.ndarray]:
     volume = load(path)
     masks: dict[str, list] = {name: [] for name in THORAX}
     for hu in volume.array[slice(*slices)].astype(np.float32):
-        for name, mask in _slice_tissues(hu, float(volume.spacing_mm[0]), ndimage).items():
+        for name, mask in slice_tissues(hu, float(volume.spacing_mm[0]), ndimage).items():
             masks[name].append(mask)
     return {name: np.stack(planes) for name, planes in masks.items()}
 
 
-def _slice_tissues(hu: np.ndarray, spacing_mm: float, ndimage) -> dict[str, np.ndarray]:
+def slice_tissues(hu: np.ndarray, spacing_mm: float, ndimage) -> dict[str, np.ndarray]:
+    """Masks of one slice, hu (rows, cols) float32; see `chest_tissues`."""
     solid = ndimage.binary_opening(hu > -300, iterations=4)
     labels, _ = ndimage.label(solid)
     body = ndimage.binary_fill_holes(labels == 1 + np.argmax(np.bincount(labels.ravel())[1:]))

@@ -2,7 +2,8 @@
 
 The paper's mode is the preset `full` to the letter: features alone, histogram match, the photograph as it lies, every match
 counts alike, fast global smoother, gamma, and the photograph's luminance. Each improvement is switched on by itself on top of
-it, stopped at layer 3, where the default stops, too. Volumes, where neighbouring slices count, are in `slabs`.
+it, stopped at layer 3, where the default stops, too. Volumes, where neighbouring slices count, are in `slabs`; what a viewer
+sees on real images, lightness included, in `measures`.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import numpy as np
 from ..errors import MedColorError
 from ..parameters import PRESETS
 from ..progress import Progress
-from . import slabs, suite_pipeline
+from . import measures, slabs, suite_pipeline
 from .matched import Matched, Method, Transfer
 from .pairs import REMAPS, Pair, Section, make_pair
 from .quality import baselines, color_errors, color_spill, dark_share
@@ -99,7 +100,7 @@ def run(sections: list[Section], data: Path | None, quick: bool, seed: int, prog
     suite = Suite({"improvements": table}, notes=list(NOTES))
     jobs = _jobs(sections, quick)
     for number, (section, remap, lines) in enumerate(jobs):
-        progress(0.8 * number / len(jobs), f"quality, {section.name}, {remap}")
+        progress(0.4 * number / len(jobs), f"quality, {section.name}, {remap}")
         pair = make_pair(section, remap, seed)
         measure_pair(suite, pair, section.rgb, lines, runs=(2 if quick else 5) if number == 0 else 0)
     if not quick:
@@ -108,7 +109,8 @@ def run(sections: list[Section], data: Path | None, quick: bool, seed: int, prog
     _share_times(table)
     if (verdicts := beaten(table)).rows:
         suite.tables = {"beaten": verdicts, **suite.tables}
-    slabs.run(suite, data, quick, lambda fraction, text: progress(0.8 + 0.2 * fraction, text))
+    slabs.run(suite, data, quick, lambda fraction, text: progress(0.4 + 0.1 * fraction, text))
+    measures.run(suite, data, quick, lambda fraction, text: progress(0.5 + 0.5 * fraction, text))
     return suite
 
 

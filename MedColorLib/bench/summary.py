@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from ..parameters import PRESETS
+from .measures import AT_LEAST
 from .pairs import REMAPS
 from .tables import Suite, Table
 
@@ -84,7 +85,22 @@ def all_targets(suites: dict[str, Suite]) -> Table:
         found.append((name, grown["growth_mb"], MEMORY_TARGET_MB))
     for name, value, limit in found:
         table.add(target=name, value=value, limit=limit, met=value <= limit)
+    for row in tables["seen"].where() if "seen" in tables else ():
+        _add_seen(table, row)
     return table
+
+
+def _add_seen(table: Table, row: dict) -> None:
+    """The targets of the measures on real images: mean and, where it has a limit of its own, the worst."""
+    if row["met"] is None:
+        return
+    name = f"{row['measure']}, {row['what']}"
+    upwards = row["measure"] in AT_LEAST
+    met = row["value"] >= row["limit"] if upwards else row["value"] <= row["limit"]
+    table.add(target=f"{name}{', at least' if upwards else ''}", value=row["value"], limit=row["limit"], met=met)
+    if row["limit_worst"] is not None:
+        met = row["worst"] <= row["limit_worst"]
+        table.add(target=f"{name}, worst", value=row["worst"], limit=row["limit_worst"], met=met)
 
 
 def _speed(volumes: Table) -> list[tuple[str, float, float]]:

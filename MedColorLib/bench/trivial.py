@@ -86,3 +86,4 @@ METHODS: dict[str, Callable[[Volume, list, Settings], ColorVolume]] = {
     "keep": keep,
     "paper": paper,
 }
+WITHOUT_FEATURES = ("look-up table", "histogram match")
