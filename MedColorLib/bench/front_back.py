@@ -69,8 +69,7 @@ def front_back_of(rgb: np.ndarray, scan: np.ndarray, front: tuple, back: tuple) 
     lab = srgb_to_lab(rgb.astype(np.float64) / 255)
     masks = [np.broadcast_to(drawn(scan.shape[1:], shapes), scan.shape) & (rgb.max(-1) > 0) for shapes in (front, back)]
     colors, greys = [lab[mask] for mask in masks], [scan[mask] for mask in masks]
-    equal = [np.column_stack([np.full(len(c), 50.0), c[:, 1:]]) for c in colors]
-    return FrontBack(apart(*equal, colors[0][:, 0], colors[1][:, 0]), apart(*colors, *greys))
+    return FrontBack(apart(*colors, *(lab[:, 0] for lab in colors)), apart(*colors, *greys))
 
 
 def apart(first: np.ndarray, second: np.ndarray, first_key: np.ndarray, second_key: np.ndarray) -> float:

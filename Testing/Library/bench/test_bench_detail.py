@@ -106,6 +106,11 @@ class TestFrontAgainstBack:
         result = self._score(lambda grey, behind: (np.where(behind, grey + 30, grey), 0 * grey, 0 * grey))
         assert np.isnan(result.same_lightness)
 
+    def test_steps_that_hardly_a_voxel_holds_do_not_count(self):
+        colors = np.array([[50.0, 0, 0]] * 100 + [[60.0, 0, 0]] * 3)
+        other = colors + np.where(colors[:, :1] == 60, [0, 40, 0], [0, 0, 0])
+        assert front_back.apart(colors, other, colors[:, 0], other[:, 0]) == 0
+
 
 class TestWrongReferences:
     def _cases(self, monkeypatch, warned):
