@@ -20,13 +20,14 @@ from . import measures, slabs, suite_pipeline
 from .matched import Matched, Method, Transfer
 from .pairs import REMAPS, Pair, Section, make_pair
 from .quality import baselines, color_errors, color_spill, dark_share
+from .summary import ALL_TOGETHER
 from .tables import TIME_COLUMNS, Suite, Table, timed
 
 KEYS = ("section", "remap", "features", "method")
 COLUMNS = (*KEYS, "mean", "p95", "worst_patch", "spill", "dark_share", *TIME_COLUMNS)
 BEATEN_COLUMNS = ("section", "remap", "features", "default", "paper", "best_baseline", "baseline", "met")
 
-PAPER, SHORT, DEFAULT = "paper", "paper, to layer 3", "all together"
+PAPER, SHORT, DEFAULT = "paper", "paper, to layer 3", ALL_TOGETHER
 UPSIDE_DOWN = "as it is, photograph upside down"
 _BASELINES = ("grey", "mean colour", "look-up table")
 _TURNED_MODES = (SHORT, "+ orientation", DEFAULT)
