@@ -36,7 +36,8 @@ def quality(suite: Suite) -> bytes:
 def seen(suite: Suite) -> bytes:
     """Error against detail on the CT head, and a bar a method for what a viewer sees, with the limits of the defaults."""
     table = suite.tables["seen"]
-    bars_of = [row for row in table.where(method="default") if row["measure"] in SEEN_BARS and row["limit"] is not None]
+    wanted = (row for row in table.where() if row["measure"] in SEEN_BARS and row["limit"] is not None)
+    bars_of = list({(row["measure"], row["what"]): row for row in reversed([*wanted])}.values())[::-1]
     methods = list(dict.fromkeys(row["method"] for row in table.where()))
     figure, (plane, bars) = figure_of(2, 6.0, 1.2 + 0.13 * len(bars_of) * (len(methods) + 1), shared=False)
     for axis in (plane, bars):

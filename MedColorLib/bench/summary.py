@@ -88,10 +88,10 @@ def all_targets(suites: dict[str, Suite]) -> Table:
     for name, value, limit in found:
         table.add(target=name, value=value, limit=limit, met=value <= limit)
     if "seen" in tables:
-        found_by_default = tables["seen"].where(method=DEFAULT)
-        for row in found_by_default:
+        for row in tables["seen"].where():
             _add_seen(table, row)
-        _add_slice_time(table, tables.get("improvements"), {row["features"] for row in found_by_default})
+        features = {row["features"] for row in tables["seen"].where(method=DEFAULT)}
+        _add_slice_time(table, tables.get("improvements"), features)
     return table
 
 
@@ -99,7 +99,7 @@ def _add_seen(table: Table, row: dict) -> None:
     """The targets of the measures on real images: mean and, where it has a limit of its own, the worst."""
     if row["met"] is None:
         return
-    name = f"{row['measure']}, {row['what']}"
+    name = f"{row['measure']}, {row['what']}" + ("" if row["method"] == DEFAULT else f", {row['method']}")
     upwards = row["measure"] in AT_LEAST
     value = float(row["value"])  # "nan" in the table where there is no number
     met = value >= row["limit"] if upwards else value <= row["limit"]

@@ -2,7 +2,7 @@
 
 `look_up_table`: the scan's grey, histogram matched inside the body, reads the reference's mean L*, a*, b* at that L*.
 `histogram_match`: red, green and blue by themselves take the reference's histogram inside its tissue.
-`keep`, `paper`: the pipeline with that luminance.
+`keep`, `paper`: the pipeline with that luminance; `at_reference` with its slider at the reference's end.
 """
 
 from __future__ import annotations
@@ -18,6 +18,8 @@ from ..parameters import Settings
 from ..scan.intensity import histogram_match_curve
 from ..volume import ColorVolume, Volume
 
+REFERENCE_END = "slider at the reference's"
+SLIDER = "natural_share"  # the slider's name in Settings; the method is listed where Settings has it
 _LEVELS = 256
 
 
@@ -33,6 +35,13 @@ def paper(volume: Volume, references: list, settings: Settings) -> ColorVolume:
     from ..pipeline import colorize
 
     return colorize(volume, references, replace(settings, luminance="paper"))
+
+
+def at_reference(volume: Volume, references: list, settings: Settings) -> ColorVolume:
+    """The pipeline with the slider of the luminance at the reference's end."""
+    from ..pipeline import colorize
+
+    return colorize(volume, references, replace(settings, luminance="natural", **{SLIDER: 1.0}))
 
 
 def look_up_table(volume: Volume, references: list, settings: Settings) -> ColorVolume:
@@ -85,5 +94,6 @@ METHODS: dict[str, Callable[[Volume, list, Settings], ColorVolume]] = {
     "histogram match": histogram_match,
     "keep": keep,
     "paper": paper,
+    **({REFERENCE_END: at_reference} if SLIDER in Settings.__dataclass_fields__ else {}),
 }
 WITHOUT_FEATURES = ("look-up table", "histogram match")

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from MedColorLib import Settings
 from MedColorLib.bench import measures, schema, seen, trivial
 from MedColorLib.bench.measures import DEFAULT, Figure
 from MedColorLib.bench.pairs import SECTIONS
@@ -78,6 +79,30 @@ class TestTable:
         tables["reference_warnings"].add(volume="a", picture="wood", right=False, noticed=True, said="refused: x")
         for name, table in tables.items():
             schema._table(name, name, table.to_dict())
+
+    def test_the_slider_is_judged_by_its_own_limits(self):
+        slider = trivial.REFERENCE_END
+        table = Table(measures.COLUMNS)
+        for name, measure in (
+            (DEFAULT, "pairs seen"),
+            (slider, "pairs seen"),
+            (slider, "chest CT"),
+            ("keep", "pairs seen"),
+        ):
+            own = measures.Run(name, None, Path(), Settings(features="embedded"), Suite())
+            measures._add(table, own, Figure(measure, "inverted", 3.0, limit=None if name == DEFAULT else 4.0))
+        assert [row["met"] for row in table.where()] == [None, True, None, None]
+        rows = all_targets({"quality": Suite({"seen": table})}).where()
+        assert [row["target"] for row in rows] == [f"pairs seen, inverted, {slider}"]
+
+    def test_both_ends_of_the_slider_have_limits(self, monkeypatch, folder):
+        result = seen.Regions(seen.Seen(5, 10, 1, 5, 10), {}, {}, {})
+        monkeypatch.setattr(seen, "head_ct", lambda *_: result)
+        met = {}
+        for name in measures.JUDGED:
+            own = measures.Run(name, None, folder, Settings(features="embedded"), Suite())
+            met[name] = next(iter(measures.head_ct(own))).met
+        assert met == {DEFAULT: True, trivial.REFERENCE_END: False}
 
 
 class TestFigure:
