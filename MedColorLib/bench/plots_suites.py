@@ -65,6 +65,7 @@ def seen(suite: Suite) -> bytes:
         title="CT head, slice 122",
     )
     if plane.has_data():
+        plane.set_ylim(bottom=0)
         plane.legend(fontsize=7)
     return png_of(figure)
 
