@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass, fields, replace
+from numbers import Real
 
 from .errors import SettingsError
 
 FEATURES = ("auto", "embedded", "vgg19", "gray-vgg19")
 AVERAGING = ("fgs", "domain-transform", "wls")  # weights of one sign: S(w d) / S(w) stays between the values of d
 SMOOTHERS = ("auto", "regression", "fgs", "guided", "domain-transform", "wls")
-LUMINANCE = ("keep", "paper")
+LUMINANCE = ("natural", "keep", "paper")
 RECONSTRUCTIONS = ("warp", "lbfgs")
 
 
@@ -58,7 +59,9 @@ class Settings:
             "fgs" (the paper), "guided", "domain-transform", "wls".
         smoother_options: values of the smoother's own parameters by name, such as {"lam": 16.0, "iterations": 3}; None
             takes their defaults. Names, ranges and defaults: `filters.smoother_options(smoother)`.
-        luminance: "keep" leaves the scan's own; "paper" lets the reference's through as the paper's equation does.
+        luminance: "natural" takes the reference's lightness for each tissue, with the scan's own detail on it; "keep" leaves the
+            scan's own; "paper" lets the reference's through as the paper's equation does.
+        lightness: 0..1, with natural luminance: from the scan's own lightness (0) to the reference's (1).
         gamma: colour transfer between gamma 1/2 and 2 (the paper, section 4.1); None takes the preset's.
         window: (low, high) in the volume's units, or None for the file's window or robust percentiles.
         slices: (start, stop) of transverse slices to colour, counted from the feet; None for all. Others stay black.
@@ -80,7 +83,8 @@ class Settings:
     features: str = "auto"
     smoother: str = "auto"
     smoother_options: dict | None = None
-    luminance: str = "keep"
+    luminance: str = "natural"
+    lightness: float = 1.0
     gamma: bool | None = None
     window: tuple[float, float] | None = None
     slices: tuple[int, int] | None = None
@@ -108,6 +112,10 @@ class Settings:
             object.__setattr__(self, "slices", _range(self.slices))
         if self.region is not None:
             object.__setattr__(self, "region", _region(self.region))
+        if isinstance(self.lightness, bool) or not isinstance(self.lightness, Real) or not 0 <= self.lightness <= 1:
+            raise SettingsError(
+                f"lightness: expected a number from 0 (the scan's) to 1 (the reference's), got {self.lightness!r}"
+            )
         if not (math.isfinite(self.coherence_mm) and 0 <= self.coherence_mm <= 1000):
             raise SettingsError(f"coherence_mm: expected 0 to 1000 mm, got {self.coherence_mm!r}")
         if not isinstance(self.seed, int) or not 0 <= self.seed < 2**63:

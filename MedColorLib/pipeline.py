@@ -232,6 +232,7 @@ def _report(prepared: Prepared, engine: Engine, run: Run, painter: Painter) -> d
         },
         "peak_memory_mb": peak_memory_mb(),
         "out_of_gamut_pixels": painter.clipped,
+        "lightness_bent_pixels": painter.bent,
         "trusted_fraction": {str(k): v for k, v in painter.trusted.items()},
         "greyed_slices": _greyed(painter),
         "guard": _guard(prepared, engine, painter),

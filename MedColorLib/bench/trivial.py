@@ -19,7 +19,7 @@ from ..scan.intensity import histogram_match_curve
 from ..volume import ColorVolume, Volume
 
 REFERENCE_END = "slider at the reference's"
-SLIDER = "natural_share"  # the slider's name in Settings; the method is listed where Settings has it
+SLIDER = "lightness"  # the slider's name in Settings; the method is listed where Settings has it
 _LEVELS = 256
 
 

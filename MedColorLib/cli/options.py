@@ -90,7 +90,7 @@ def _add_settings(add: Callable) -> None:
         "--features",
         choices=FEATURES,
         default="auto",
-        help="feature network (default: VGG-19 where present, else embedded)",
+        help="feature network (default: MedColor's own, which needs no download)",
     )
     add("--smoother", choices=SMOOTHERS, default="auto", help="how colour is spread (default: the preset's)")
     add(
@@ -100,7 +100,20 @@ def _add_settings(add: Callable) -> None:
         metavar="NAME=VALUE",
         help="parameter of the smoother, such as lam=16; may be repeated (a wrong name lists the right ones)",
     )
-    add("--luminance", choices=LUMINANCE, default="keep", help="the scan's own, or the reference's as in the paper")
+    add(
+        "--luminance",
+        choices=LUMINANCE,
+        default=Settings.luminance,
+        help="natural: the reference's for each tissue with the scan's detail; keep: the scan's own; paper: the paper's equation "
+        "(default: %(default)s)",
+    )
+    add(
+        "--lightness",
+        type=float,
+        default=Settings.lightness,
+        metavar="0..1",
+        help="natural luminance from the scan's own (0) to the reference's (1) (default: %(default)s)",
+    )
     add("--gamma", choices=("on", "off"), help="transfer between gamma 1/2 and 2 (default: on in full, else off)")
     add(
         "--reconstruction",

@@ -1,7 +1,8 @@
-"""From L*a*b* to sRGB bytes without false hues, and the power-law gamma of the colour transfer."""
+"""From L*a*b* to sRGB bytes without false hues or bleached lights, and the power-law gamma of the colour transfer."""
 
 from __future__ import annotations
 
+from functools import lru_cache
 from numbers import Real
 from typing import TYPE_CHECKING
 
@@ -15,6 +16,8 @@ if TYPE_CHECKING:
 
 HALF_LEVEL = 0.5 / 255.0  # components this far outside 0..1 still round to 0 or 255
 _LARGEST = 1e6
+_KNEE_L = 15.0  # L* below the highest lightness of a chroma at which lightness begins to bend
+_CHROMA_LIMIT = 128  # a*, b* of every sRGB colour lie within it
 _HALVINGS = 12  # chroma to 1/4096 of the wish: below the rounding to bytes
 
 
@@ -103,3 +106,58 @@ def gamma_encode(values: Array, gamma: float = 0.5) -> Array:
 def gamma_decode(values: Array, gamma: float = 0.5) -> Array:
     """The inverse of `gamma_encode` with the same gamma: max(values, 0) ** (1 / gamma)."""
     return gamma_encode(values, 1.0 / _checked_gamma(gamma))
+
+
+@lru_cache(maxsize=1)
+def _highest_lightness() -> np.ndarray:
+    """(257, 257) float32, at [b* + 128, a* + 128]: highest L* at which sRGB holds that chroma.
+
+    Where it holds it at no L*, that of the largest chroma of the same hue that it does hold.
+    """
+    axis = np.arange(-_CHROMA_LIMIT, _CHROMA_LIMIT + 1, dtype=np.float64)
+    b, a = np.meshgrid(axis, axis, indexing="ij")
+    highest = np.full(a.shape, np.nan)
+    for lightness in np.arange(0.0, 100.01, 0.5):
+        colors = np.stack([np.full(a.shape, lightness), a, b], -1)
+        highest[~_outside(lab_to_linear(colors))] = lightness
+    return _continued_inwards(highest, a, b).astype(np.float32)
+
+
+def _continued_inwards(highest: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Fill NaN with the value of the nearest known point on the way to grey."""
+    for share in np.linspace(1.0, 0.0, 257)[1:]:
+        rows, cols = (np.rint(values * share).astype(int) + _CHROMA_LIMIT for values in (b, a))
+        highest = np.where(np.isnan(highest), highest[rows, cols], highest)
+    return highest
+
+
+def bend_lightness(lab: np.ndarray) -> tuple[np.ndarray, int]:
+    """Lower L* where sRGB could not hold the chroma at it: lightness gives way, not colour.
+
+    A knee: from 15 below the highest L* that holds a chroma, the rest up to 100 is pressed together, so that order and
+    detail of the lights stay. Greys and whatever lies below its knee stay as they are.
+
+    Args:
+        lab: (n, 3) floats.
+
+    Returns:
+        (n, 3) float32, and the number of colours whose L* fell by more than 0.5.
+    """
+    import cv2
+
+    out = lab.astype(np.float32)
+    if not len(out):
+        return out, 0
+    width = 1024  # cv2.remap takes pictures of at most 32767 rows
+    rows = -(-len(out) // width)
+    place = np.zeros((2, rows * width), np.float32)
+    place[:, : len(out)] = np.clip(out[:, 1:].T, -_CHROMA_LIMIT, _CHROMA_LIMIT) + _CHROMA_LIMIT
+    a, b = place.reshape(2, rows, width)
+    top = cv2.remap(_highest_lightness(), a, b, cv2.INTER_LINEAR).ravel()[: len(out)]
+    knee = top - np.minimum(np.float32(_KNEE_L), 100 - top)
+    above = np.minimum(out[:, 0], 100) - knee
+    bent = np.where(above > 0, knee + above * ((top - knee) / np.maximum(100 - knee, 1e-3)), out[:, 0])
+    lower = np.minimum(bent, out[:, 0])
+    count = int(np.count_nonzero(out[:, 0] - lower > 0.5))
+    out[:, 0] = lower
+    return out, count

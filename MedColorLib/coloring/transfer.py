@@ -2,7 +2,8 @@
 
 The paper's equation T'' = S(T', T_L) - S(X, T_L) + X, with S the smoother, T_L its guide and, in the paper, X = T_Lab, the
 grey slice. S is linear in its source, so S(T') - S(X) = S(T' - X): one solve of the remainder. With the scan's own
-luminance kept, only a* and b* are smoothed; the scan has a* = b* = 0.
+luminance kept, only a* and b* are smoothed; the scan has a* = b* = 0. With natural luminance, L* of T' is smoothed as it is,
+S(T'), and `natural` puts the scan's detail on it.
 
 With the smoother "regression", X is a better guess than grey: colour as a function of grey in each neighbourhood
 (`filters.regression`), and S the fast global smoother. What the guess explains keeps the scan's detail; what it does not,
@@ -19,12 +20,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..color.gamut import gamma_decode, gamma_encode, lab_to_srgb_in_gamut
+from ..color.gamut import bend_lightness, gamma_decode, gamma_encode, lab_to_srgb_in_gamut
 from ..color.lab import gray_to_lightness, lab_to_srgb, lightness_to_gray, srgb_to_lab
 from ..filters import FILTERS, FgsParameters, regression, smoother_parameters
 from ..parameters import AVERAGING
 from ..scan.grid import MARGIN, from_grid
 from ..scan.intensity import apply_curve
+from .natural import natural_lightness, without_noise
 
 if TYPE_CHECKING:
     from ..matching.confidence import Trust
@@ -43,11 +45,12 @@ class TransferParameters:
 
     Attributes:
         smoother: "regression" or one of FILTERS.
-        luminance: "keep" or "paper".
+        luminance: "natural", "keep" or "paper".
         gamma: transfer between gamma 1/2 and 2.
         guide_curve: (256,) how the regression spreads display grey 0..1 over its bins (`intensity.spreading_curve`);
             None leaves it as it is. Not used by the other smoothers.
         smoother_options: names and values of the smoother's parameters (`filters.smoother_options`), or None.
+        lightness: 0..1 with natural luminance: from the scan's own lightness to the reference's.
     """
 
     smoother: str
@@ -55,6 +58,7 @@ class TransferParameters:
     gamma: bool
     guide_curve: np.ndarray | None = None
     smoother_options: dict | None = None
+    lightness: float = 1.0
 
     @property
     def first_channel(self) -> int:
@@ -92,23 +96,29 @@ class SliceMatch:
 
 def transfer(
     grey: np.ndarray, mask: np.ndarray, match: SliceMatch, parameters: TransferParameters
-) -> tuple[np.ndarray, int]:
+) -> tuple[np.ndarray, int, int]:
     """Colour one slice by itself.
 
     Args:
         grey: (rows, cols) display grey 0..1 of the body's box at full resolution; mask: (rows, cols) bool body.
 
     Returns:
-        (rows, cols, 3) uint8 sRGB, black outside the mask; number of pixels drawn into the gamut.
+        As `to_picture`.
     """
     return to_picture(transfer_lab(grey, mask, match, parameters), mask)
 
 
-def to_picture(lab: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, int]:
-    """(rows, cols, 3) uint8 sRGB of L* a* b*, black outside the mask; number of pixels drawn into the gamut."""
+def to_picture(lab: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, int, int]:
+    """L* a* b* as a picture.
+
+    Returns:
+        (rows, cols, 3) uint8 sRGB, black outside the mask; number of pixels whose chroma was drawn into the gamut; number of
+        pixels whose lightness gave way to chroma (`gamut.bend_lightness`).
+    """
     rgb = np.zeros(lab.shape, np.uint8)
-    rgb[mask], clipped = lab_to_srgb_in_gamut(lab[mask])
-    return rgb, clipped
+    colors, bent = bend_lightness(lab[mask])
+    rgb[mask], clipped = lab_to_srgb_in_gamut(colors)
+    return rgb, clipped, bent
 
 
 def transfer_lab(grey: np.ndarray, mask: np.ndarray, match: SliceMatch, parameters: TransferParameters) -> np.ndarray:
@@ -120,7 +130,8 @@ def transfer_lab(grey: np.ndarray, mask: np.ndarray, match: SliceMatch, paramete
     if match.trust is not None and parameters.smoother in AVERAGING:
         return combine(grey, mask, None, remainder(match, None, parameters), parameters)
     difference = _difference(match.lab, match.grey, parameters, parameters.first_channel)
-    return _out_of_transfer(grey, mask, _smoothed(from_grid(difference, grey.shape), grey, parameters), parameters)
+    smoothed = _smoothed(from_grid(difference, grey.shape), grey, parameters)
+    return _out_of_transfer(grey, mask, smoothed, parameters, parameters.lightness)
 
 
 def relation_sums(match: SliceMatch, parameters: TransferParameters) -> np.ndarray:
@@ -140,8 +151,8 @@ def relation_sums(match: SliceMatch, parameters: TransferParameters) -> np.ndarr
 
 def _witnesses(match: SliceMatch, grey: np.ndarray, parameters: TransferParameters) -> np.ndarray:
     lab, grey, weight = (values[_INNER][::EVERY, ::EVERY] for values in (match.lab, grey, match.weight))
-    chroma = _difference(lab, grey, parameters, 1)
-    return regression.splat(chroma, 255 * _spread(grey, parameters), weight, parameters.own, match.within, EVERY)
+    colors = _difference(lab, grey, parameters, 0 if parameters.luminance == "natural" else 1)
+    return regression.splat(colors, 255 * _spread(grey, parameters), weight, parameters.own, match.within, EVERY)
 
 
 def solve_relation(sums: np.ndarray, parameters: TransferParameters) -> np.ndarray:
@@ -163,7 +174,7 @@ def remainder(match: SliceMatch, relation: np.ndarray | None, parameters: Transf
     if relation is not None:
         grey = _halved(match.grey[..., None])[..., 0]
         guess = regression.predict(relation, 255 * _spread(grey, parameters), match.within)
-        rest[..., -3:-1] -= guess * rest[..., -1:]
+        rest[..., -1 - guess.shape[-1] : -1] -= guess * rest[..., -1:]
     return rest
 
 
@@ -183,7 +194,8 @@ def combine(
 
     Args:
         grey, mask: as for `transfer`. relation, rest: as for and of `remainder`. within: see `SliceMatch`.
-        saturation: 0..1, share of a* and b* that is kept: 0 gives grey, where nothing can be trusted.
+        saturation: 0..1, share of a*, b* and natural lightness that is kept: 0 gives the grey scan, where nothing can be
+            trusted.
     """
     if relation is None:
         smoothed = _smoothed(_resized(rest, grey.shape), grey, parameters)
@@ -192,9 +204,11 @@ def combine(
         smoothed = FILTERS["fgs"](rest, guide_of(_resized(grey, rest.shape[:2]), parameters), REMAINDER)
         believed = np.minimum(smoothed[..., -1:], 1) / np.maximum(smoothed[..., -1:], 1e-12)
         change = _resized(smoothed[..., :-1] * believed, grey.shape)
-        change[..., -2:] += regression.predict(relation, 255 * _spread(grey, parameters), within)
+        read = without_noise(grey) if parameters.luminance == "natural" else grey
+        guess = regression.predict(relation, 255 * _spread(read, parameters), within)
+        change[..., -guess.shape[-1] :] += guess
     change[..., -2:] *= saturation
-    return _out_of_transfer(grey, mask, change, parameters)
+    return _out_of_transfer(grey, mask, change, parameters, saturation * parameters.lightness)
 
 
 def remainder_guide(match: SliceMatch, parameters: TransferParameters) -> np.ndarray:
@@ -238,22 +252,28 @@ def _lightness(grey: np.ndarray, parameters: TransferParameters) -> np.ndarray:
 
 
 def _difference(matched: np.ndarray, grid_grey: np.ndarray, parameters: TransferParameters, first: int) -> np.ndarray:
-    """T' - T_Lab on the grid, L* a* b* from channel `first` on (the scan's a* and b* are 0), in the space of the transfer."""
+    """T' - T_Lab on the grid, L* a* b* from channel `first` on (the scan's a* and b* are 0), in the space of the transfer.
+
+    With natural luminance L* is that of T' itself.
+    """
     lab = matched
     if parameters.gamma:
         lab = srgb_to_lab(gamma_encode(np.clip(lab_to_srgb(lab.astype(np.float64)), 0, 1), _GAMMA))
     rest = lab[..., first:].copy()
-    if first == 0:
+    if first == 0 and parameters.luminance == "paper":
         rest[..., 0] -= _lightness(grid_grey, parameters)
     return rest
 
 
 def _out_of_transfer(
-    grey: np.ndarray, mask: np.ndarray, change: np.ndarray, parameters: TransferParameters
+    grey: np.ndarray, mask: np.ndarray, change: np.ndarray, parameters: TransferParameters, lightness: float
 ) -> np.ndarray:
-    """T_Lab + change, out of the space of the transfer, 0 outside the mask."""
+    """T_Lab + change, out of the space of the transfer, 0 outside the mask. lightness: see `natural.natural_lightness`."""
     lab = np.zeros((*grey.shape, 3))
     lab[..., 0] = _lightness(grey, parameters)
+    if parameters.luminance == "natural":
+        lab[..., 0] = natural_lightness(lab[..., 0], change[..., 0], mask, lightness)
+        change = change[..., 1:]
     lab[..., 3 - change.shape[2] :] += change
     if parameters.gamma:
         lab = srgb_to_lab(gamma_decode(np.clip(lab_to_srgb(lab), 0, 1), _GAMMA))

@@ -31,7 +31,7 @@ _FLOOR = 0.08  # of the picture's deviation, added to a square's: noise in a fla
 class Contrast:
     """The network as an extractor; see `features.Extractor`. Layer 3 is its own raster, 4 and 5 are means of it."""
 
-    name = "contrast"
+    name = "embedded"
 
     def __init__(self, device: str = "cpu") -> None:
         """Raises WeightsError where the weights are missing or not what this version expects."""

@@ -17,8 +17,7 @@ GREY_BELOW = 0.1  # mean confidence of a slice and its neighbours below which it
 
 # Likeness (of features of layer 5, chance = 0, equal = 1) from which a match begins to be trusted, and is trusted in full.
 # Measured, VGG-19: heads after a head 0.39 to 0.48, self-pairs 0.66 to 0.84; a head after a thorax 0.21; blobs 0.15 to 0.29.
-# The embedded descriptors: 0.58 to 0.68, 0.61 to 0.88, 0.39, 0.38 to 0.57.
-LIKENESS_RANGE = {"vgg19": (0.12, 0.3), "gray-vgg19": (0.12, 0.3), "embedded": (0.3, 0.5)}
+LIKENESS_RANGE = {"vgg19": (0.12, 0.3), "gray-vgg19": (0.12, 0.3), "embedded": (0.2, 0.5)}
 
 
 @dataclass(frozen=True)
@@ -30,11 +29,13 @@ class Trust:
         agreement: correlation -1..1 of the slice's matched grey with the luminance of its matches, weighted by
             confidence: near 1 the photograph's own relation of colour to luminance holds for the slice.
         inverse_curve: (256,) display grey of the scan at the photograph's grey, or None where there is no such function.
+        monotone: 0..1, how far that is a function at all; see `contrast.Contrast.monotone`.
     """
 
     confidence: np.ndarray
     agreement: float
     inverse_curve: np.ndarray | None
+    monotone: float = 1.0
 
     @property
     def own_relation_weight(self) -> float:
@@ -45,7 +46,7 @@ class Trust:
         if self.inverse_curve is None:
             return 0.0
         agreement = min(self.agreement, 0.99)
-        return (max(agreement - 0.6, 0.0) / (1 - agreement)) ** 1.5
+        return self.monotone * (max(agreement - 0.6, 0.0) / (1 - agreement)) ** 1.5
 
     @property
     def trusted_fraction(self) -> float:
@@ -70,7 +71,9 @@ def saturation(mean_confidence: float) -> float:
     return min(1.0, max(0.0, mean_confidence) / GREY_BELOW)
 
 
-def trust_of(confidence: np.ndarray, matched_grey: np.ndarray, seen_grey: np.ndarray, inverse_curve) -> Trust:
+def trust_of(
+    confidence: np.ndarray, matched_grey: np.ndarray, seen_grey: np.ndarray, inverse_curve, monotone: float = 1.0
+) -> Trust:
     """Trust of one slice.
 
     Args:
@@ -84,7 +87,7 @@ def trust_of(confidence: np.ndarray, matched_grey: np.ndarray, seen_grey: np.nda
         covariance = np.cov(x, y, aweights=weights)
         spread = np.sqrt(covariance[0, 0] * covariance[1, 1])
         agreement = float(covariance[0, 1] / spread) if spread > 1e-12 else 0.0
-    return Trust(confidence, agreement, inverse_curve)
+    return Trust(confidence, agreement, inverse_curve, monotone)
 
 
 def consistency(field: Tensor, reverse: Tensor) -> Tensor:

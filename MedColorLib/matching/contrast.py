@@ -15,7 +15,11 @@ import numpy as np
 from ..scan.intensity import apply_curve, histogram_match_curve
 from .coarse import coarse_match
 
-LEAST_EXPLAINED = 0.2  # share of the luminance variance that the curve must explain; below it is noise of bad matches
+EXPLAINED_RANGE = (
+    0.1,
+    0.3,
+)  # share of the luminance variance explained from which the learned curve counts, and counts in full
+GAIN_RANGE = (-0.01, 0.01)  # likewise of the similarity that it gains
 
 
 @dataclass(frozen=True)
@@ -24,7 +28,7 @@ class Contrast:
 
     Attributes:
         curve: (256,) matched grey 0..1 at display grey index / 255.
-        kind: "histogram match" or "learned from a coarse correspondence".
+        kind: which curve it is, in words.
         explained: share of the reference's luminance variance explained by the learned curve, 0..1.
         gain: rise of the mean similarity at the coarsest layer by the learned curve.
     """
@@ -40,15 +44,20 @@ class Contrast:
         return float(np.clip((self.explained - 0.1) / 0.2, 0, 1))
 
     @property
-    def inverse(self) -> np.ndarray | None:
-        """(256,) display grey at matched grey index / 255; None where the curve both rises and falls.
+    def monotone(self) -> float:
+        """1 where the curve only rises or only falls, but for ripples of a tenth of the way; 0 from a fifth on."""
+        rises, falls = self._ways
+        return float(np.clip(2 - 10 * min(rises, falls) / max(rises + falls, 1e-12), 0, 1))
 
-        Ripples of up to a tenth of the way, which a learned curve has where grey values are rare, are levelled.
-        """
+    @property
+    def _ways(self) -> tuple[float, float]:
         steps = np.diff(self.curve)
-        rises, falls = steps[steps > 0].sum(), -steps[steps < 0].sum()
-        if min(rises, falls) > 0.1 * (rises + falls):
-            return None
+        return float(steps[steps > 0].sum()), float(-steps[steps < 0].sum())
+
+    @property
+    def inverse(self) -> np.ndarray:
+        """(256,) display grey at matched grey index / 255; see `monotone` for how much it means. Ripples are levelled."""
+        rises, falls = self._ways
         nodes = np.linspace(0, 1, len(self.curve))
         if rises >= falls:
             return np.interp(nodes, np.maximum.accumulate(self.curve), nodes)
@@ -74,27 +83,49 @@ def match_contrast(greys, masks, reference_grey, reference_mask, coarse_similari
     regressed = apply_curve(inside, regression)
     variance = float(np.var(seen))
     explained = float(np.var(regressed)) / variance if variance > 0 else 0.0
-    if explained < LEAST_EXPLAINED:
-        return Contrast(matched, "histogram match", explained, 0.0)
     spread = histogram_match_curve(regressed, reference_grey[reference_mask])
     learned = apply_curve(regression, spread).astype(np.float64)
     gain = coarse_similarity(apply_curve(greys, learned) * masks) - coarse_similarity(
         apply_curve(greys, matched) * masks
     )
-    if gain <= 0:
-        return Contrast(matched, "histogram match", explained, gain)
-    return Contrast(learned, "learned from a coarse correspondence", explained, gain)
+    share = _from_0_to_1(explained, EXPLAINED_RANGE) * _from_0_to_1(gain, GAIN_RANGE)
+    mixed = f"{100 * share:.0f} % learned from a coarse correspondence, the rest histogram match"
+    kinds = {0.0: "histogram match", 1.0: "learned from a coarse correspondence"}
+    return Contrast(matched + share * (learned - matched), kinds.get(share, mixed), explained, gain)
 
 
-def coarse_luminance(greys, masks, reference_grey, reference_mask) -> np.ndarray:
-    """Reference luminance seen through a coarse, contrast-invariant correspondence; (S, H, W)."""
+def _from_0_to_1(value: float, limits: tuple[float, float]) -> float:
+    """Softly, so that one slice more or less cannot turn a volume's colours."""
+    return float(np.clip((value - limits[0]) / (limits[1] - limits[0]), 0, 1))
+
+
+def seen_contrast(greys: np.ndarray, masks: np.ndarray, seen: np.ndarray) -> Contrast:
+    """The scan's relation of grey to the photograph's luminance, as matches show it that do not depend on contrast.
+
+    Args:
+        greys: (S, H, W) display grey 0..1; masks: (S, H, W) bool body; seen: (S, H, W) of `seen_luminance`.
+    """
+    inside, seen = greys[masks], seen[masks]
+    curve = regression_curve(inside, seen)
+    variance = float(np.var(seen))
+    explained = float(np.var(apply_curve(inside, curve))) / variance if variance > 0 else 0.0
+    return Contrast(curve, "as the matches show it", explained, 0.0)
+
+
+def seen_luminance(reference_grey: np.ndarray, field, layer: int) -> np.ndarray:
+    """The reference's luminance (H, W) at the places a field (S, h, w) of `layer` points to: (S, H, W)."""
     import torch
 
     from .fields.field import average_vote
 
+    planes = torch.from_numpy(reference_grey.astype(np.float32))[None, None].to(field.device)
+    return average_vote(planes, field, scale=2 ** (layer - 1))[:, 0].cpu().numpy()
+
+
+def coarse_luminance(greys, masks, reference_grey, reference_mask) -> np.ndarray:
+    """Reference luminance seen through a coarse, contrast-invariant correspondence; (S, H, W)."""
     match = coarse_match(greys, masks, reference_grey, reference_mask, position_weight=2.0)
-    planes = torch.from_numpy(reference_grey.astype(np.float32))[None, None]
-    return average_vote(planes, match.field, scale=2 ** (match.layer - 1))[:, 0].numpy()
+    return seen_luminance(reference_grey, match.field, match.layer)
 
 
 def regression_curve(grey: np.ndarray, seen: np.ndarray, bins: int = 32) -> np.ndarray:

@@ -14,10 +14,13 @@ from torch import Tensor
 from torch.nn.functional import adaptive_avg_pool2d
 
 from .fields import exact
+from .fields.field import warp
 
 PATCH_RADIUS = 1
 POSITION_WEIGHT = 0.1  # similarity lost over 0.8 of the body's width, in units of the cosine of the features
-LIKENESS_RANGE = (0.2, 0.5)  # likeness from which a match begins to be trusted, and is trusted in full
+GROUP_WEIGHT = (
+    4.0  # one pixel of another tissue group costs its square; a patch of features and position has at most 10
+)
 
 
 class ContrastMatch(NamedTuple):
@@ -43,6 +46,7 @@ def match(
     reference_mask: Tensor,
     position_weight: float = POSITION_WEIGHT,
     keep_reverse: bool = True,
+    groups: tuple[Tensor, Tensor] | None = None,
 ) -> ContrastMatch:
     """Match slices with one reference.
 
@@ -52,12 +56,18 @@ def match(
             lie; patches reach beyond, since what surrounds a body tells its outline.
         position_weight: similarity lost over 0.8 of the body's height or width; 0 leaves position out.
         keep_reverse: whether the way back, and likeness, are wanted.
+        groups: tissue groups that matches do not cross, as `analogy.Context.groups`.
     """
     inside, inside2 = _mask_at(target_mask, target.shape[2:]), _mask_at(reference_mask[None], reference.shape[2:])[0]
     a, b = target.float(), reference.float()
     placed, placed2 = _with_position(a, position_weight), _with_position(b, position_weight)
+    if groups is not None:
+        placed, placed2 = (_with_groups(*side) for side in zip((placed, placed2), groups))
     field, total, reverse, _ = exact.search(placed, placed2, PATCH_RADIUS, inside, inside2, keep_reverse)
-    similarity = _without_position(total, field, a.shape[2:], b.shape[2:], position_weight)
+    if groups is not None:
+        similarity = (a * warp(b, field)).sum(1)
+    else:
+        similarity = _without_position(total, field, a.shape[2:], b.shape[2:], position_weight)
     alike = _above_chance(similarity, a, b, inside, inside2) if keep_reverse else None
     return ContrastMatch(field, similarity, reverse, alike)
 
@@ -72,6 +82,11 @@ def _with_position(features: Tensor, weight: float) -> Tensor:
         angle = _angles(size, features.device).view(shape).expand(len(features), 1, height, width)
         places += [torch.cos(angle), torch.sin(angle)]
     return torch.cat([features, *(plane * (weight / 2) ** 0.5 for plane in places)], 1)
+
+
+def _with_groups(features: Tensor, groups: Tensor) -> Tensor:
+    cover = adaptive_avg_pool2d(groups, features.shape[2:])
+    return torch.cat([features, GROUP_WEIGHT * cover / cover.norm(dim=1, keepdim=True).clamp_min(1e-12)], 1)
 
 
 def _angles(size: int, device) -> Tensor:

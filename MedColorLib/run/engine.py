@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 log = logging.getLogger("MedColor")
 
 UNVOTED_TRUST = 1e-3  # of a group's mean colour, where the guard left no match: a fiftieth of the least trusted match
+OWN_LAYER = 3  # whose raster is that of MedColor's own features: positions of 4 x 4 pixels
 MANY_REFERENCES = 7  # more are taken for one series, whose pictures all lie the same way
 
 
@@ -134,7 +135,8 @@ class Engine:
         preset = PRESETS[self.settings.preset]
         self.stop_layer, self.uses_context = preset.stop_layer, preset.context
         self.components = self.settings.components
-        self.layers = tuple(range(5, self.stop_layer - 1, -1))
+        self.own_features = prepared.plan.features == "embedded"
+        self.layers = (OWN_LAYER,) if self.own_features else tuple(range(5, self.stop_layer - 1, -1))
         self.extractor = make_extractor(prepared.plan.features, self.device)
         self.reconstruct = make_reconstruction(self.settings.reconstruction, self.extractor)
         pictures = prepared.groups.pictures if prepared.groups else (None,) * len(prepared.references)
@@ -240,7 +242,7 @@ class Engine:
         matched = apply_curve(greys, reference.contrast.curve) * masks
         stored = store.load(ks, index, self.device) if store else None
         within = None if reference.groups is None else self._within(ks, index, masks)
-        found = stored or self._analogy(index, matched, masks, within)
+        found = stored or self._correspondence(index, greys * masks, matched, masks, within)
         self.searched = found.searched
         with self.run.timed("matching"):
             own_lab = torch.from_numpy(reference.lab.astype(np.float32)).permute(2, 0, 1)[None].to(self.device)
@@ -265,6 +267,27 @@ class Engine:
         groups, reference = self.prepared.groups, self.references[index]
         own = self.groups_on_grid(ks)
         return WithinGroups(own, masks, reference, groups.missing[index], len(groups), self.device)
+
+    def _correspondence(self, index: int, greys, matched, masks, within: WithinGroups | None) -> Match:
+        """The correspondence of slices (N, H, W), in the photograph's contrast where the features see contrast."""
+        if self.own_features:
+            return self._own_match(index, greys, masks, within and within.channels())
+        return self._analogy(index, matched, masks, within)
+
+    def _own_match(self, index: int, greys: np.ndarray, masks: np.ndarray, groups=None) -> Match:
+        """By MedColor's own features: one exhaustive search, both ways."""
+        import torch
+
+        from ..matching.analogy import Match
+        from ..matching.contrast_match import match
+
+        own = self.features_of(index)
+        with self.run.timed("features"):
+            features = self.extractor.extract(torch.from_numpy(greys)[:, None].to(self.device), (OWN_LAYER,))[OWN_LAYER]
+        with self.run.timed("matching"):
+            inside = torch.from_numpy(masks).to(self.device), own.mask
+            found = match(features, own.layers[OWN_LAYER], *inside, keep_reverse=self.reads_trust, groups=groups)
+        return Match(OWN_LAYER, found.field, found.similarity, found.reverse, {OWN_LAYER: "exact"}, found.likeness)
 
     def _analogy(self, index: int, matched: np.ndarray, masks: np.ndarray, within: WithinGroups | None = None) -> Match:
         """The correspondence of slices (N, H, W) in the photograph's contrast with reference `index`."""
@@ -306,8 +329,8 @@ class Engine:
         if unvoted is not None:
             confidence[unvoted] = UNVOTED_TRUST
         seen = np.clip(lightness_to_gray(lab[..., 0].astype(np.float64)), 0, 1)
-        inverse = reference.contrast.inverse
-        return [trust_of(*planes, inverse) for planes in zip(confidence, matched, seen)]
+        relation = reference.contrast.inverse, reference.contrast.monotone
+        return [trust_of(*planes, *relation) for planes in zip(confidence, matched, seen)]
 
     def _turn_references(self) -> None:
         """Find out which way up the references lie: each for itself, or many (a series of photographs) together."""
@@ -330,11 +353,16 @@ class Engine:
 
         from ..matching.analogy import deep_image_analogy
         from ..matching.coarse import mean_inside
-        from ..matching.contrast import match_contrast
+        from ..matching.contrast import match_contrast, seen_contrast, seen_luminance
 
         reference, needed = self.references[index], self.features_of(index)
         own = [k for k, chosen in self.choice.items() if chosen == index]
         greys, masks = self.slices_on_grid(sample_slices(own))
+        if self.own_features:
+            field = self._own_match(index, greys * masks, masks).field
+            reference.contrast = seen_contrast(greys, masks, seen_luminance(reference.grey, field, OWN_LAYER))
+            log.info("contrast for %s: %s", reference.name, reference.contrast.describe())
+            return
         mask_tensor = torch.from_numpy(masks).to(self.device)
 
         def coarse_similarity(candidate: np.ndarray) -> float:

@@ -61,7 +61,7 @@ class Painter:
         from ..coloring.transfer import TransferParameters
 
         settings, plan = prepared.settings, prepared.plan
-        self.clipped = 0
+        self.clipped = self.bent = 0
         self.trusted: dict[int, float] = {}
         self.agreement: dict[int, float] = {}
         self.saturation: dict[int, float] = {}
@@ -69,7 +69,7 @@ class Painter:
         self._weighs = settings.weighs_matches
         options = settings.smoother_options
         self._parameters = TransferParameters(
-            plan.smoother, settings.luminance, settings.resolved_gamma, engine.guide_curve, options
+            plan.smoother, settings.luminance, settings.resolved_gamma, engine.guide_curve, options, settings.lightness
         )
         spacing, sigma = prepared.slice_spacing_mm, settings.coherence_mm
         self._groups = prepared.groups
@@ -96,12 +96,13 @@ class Painter:
                 self._put_confidence(k, trust)
             found[k] = SliceMatch(lab, grey, mask, trust, self._frames[k])
         colored = self._gathered(found) if self._weighs else self._each(self._color_alone, found, found.values())
-        for k, rgb, clipped, uncolored in colored:
+        for k, rgb, clipped, bent, uncolored in colored:
             self.clipped += clipped
+            self.bent += bent
             self.uncolored += uncolored
             self._paste(self._stack, k, rgb)
 
-    def _gathered(self, found: dict[int, SliceMatch]) -> Iterator[tuple[int, np.ndarray, int, int]]:
+    def _gathered(self, found: dict[int, SliceMatch]) -> Iterator[tuple[int, np.ndarray, int, int, int]]:
         """Add slices' evidence to what is known of colour and grey; slices whose neighbours are all in are coloured."""
         from ..matching.confidence import saturation
 
@@ -124,11 +125,13 @@ class Painter:
         on_grid, there = self._engine.groups_on_grid([k])[0], np.unique(self._groups.in_box(k, self._boxes[k]))
         return [(replace(match, mask=match.mask & (on_grid == name)), name in there) for name in self._evidence]
 
-    def _color(self, ready: Sequence[tuple[int, np.ndarray | None, np.ndarray]]) -> tuple[int, np.ndarray, int, int]:
+    def _color(
+        self, ready: Sequence[tuple[int, np.ndarray | None, np.ndarray]]
+    ) -> tuple[int, np.ndarray, int, int, int]:
         """Colour a slice from its evidence, of everything or group by group.
 
         Returns:
-            Slice, (rows, cols, 3) uint8, number of pixels drawn into the gamut, number of pixels without any evidence.
+            Slice, what `transfer.to_picture` returns, number of pixels without any evidence.
         """
         from ..coloring.transfer import combine, to_picture
 
@@ -147,7 +150,7 @@ class Painter:
                 uncolored += int(np.count_nonzero(own))
         return k, *to_picture(lab, mask), uncolored
 
-    def _color_alone(self, k: int, match: SliceMatch) -> tuple[int, np.ndarray, int, int]:
+    def _color_alone(self, k: int, match: SliceMatch) -> tuple[int, np.ndarray, int, int, int]:
         """`_color` from the slice's own match."""
         from ..coloring.transfer import transfer
 

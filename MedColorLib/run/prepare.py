@@ -65,7 +65,7 @@ def prepare(
         InputError, SettingsError, WeightsError, DeviceError: with the remedy in the message.
     """
     note = check_values(volume.array, volume.name)
-    features = choose_features(settings.features)
+    features = choose_features(settings.features, settings.preset)
     if settings.reconstruction == "lbfgs" and features == "embedded":
         raise SettingsError(
             "reconstruction lbfgs inverts a network; the embedded features have none: use warp or vgg19"
@@ -126,14 +126,18 @@ def _plan(volume, settings, order, view, body, chosen, window, references, grid,
     preset, smoother = PRESETS[settings.preset], settings.resolved_smoother
     boxes = body.boxes[chosen]
     cropped = float(((boxes[:, 1] - boxes[:, 0]) * (boxes[:, 3] - boxes[:, 2])).sum()) / (len(chosen) * view[0].size)
-    network = {"embedded": "embedded descriptors (no download)", "vgg19": "VGG-19", "gray-vgg19": "gray VGG-19"}[
+    network = {"embedded": "MedColor's own network (no download)", "vgg19": "VGG-19", "gray-vgg19": "gray VGG-19"}[
         features
     ]
-    layers = "layer 5" if preset.stop_layer == 5 else f"layers 5 to {preset.stop_layer}"
+    layers = "one layer" if features == "embedded" else f"layers 5 to {preset.stop_layer}"
     shape = " x ".join(map(str, volume.array.shape))
     auto = " (auto)" if settings.features == "auto" else ""
-    searched = " at layers 5 to 3, in windows below" if preset.stop_layer < 3 else ""
-    luminance = "of the scan" if settings.luminance == "keep" else "of the reference (paper)"
+    searched = " at layers 5 to 3, in windows below" if preset.stop_layer < 3 and features != "embedded" else ""
+    luminance = {
+        "natural": f"of the reference's tissues with the scan's detail ({100 * settings.lightness:.0f} % of the way)",
+        "keep": "of the scan",
+        "paper": "of the reference (paper)",
+    }[settings.luminance]
     gamma = "1/2 and 2" if settings.resolved_gamma else "off"
     steps = {
         "volume": f"{volume.name}, {shape} (k, j, i) {volume.array.dtype.name}; {order.describe()}",
@@ -198,7 +202,14 @@ def _left_out(settings, preset, smoother, features, view, body, chosen, referenc
                 f"{len(repeats)} slices",
             )
         )
-    if preset.stop_layer > 1:
+    if features == "embedded":
+        text = (
+            "MedColor's own features see no contrast; there is nothing for latent pictures and finer layers to bridge"
+        )
+        entries.append(
+            LeftOut("latent pictures, contrast curve, layers 5, 4, 2, 1", text, "all but one search a slice")
+        )
+    elif preset.stop_layer > 1:
         below = ", ".join(str(layer) for layer in range(preset.stop_layer - 1, 0, -1))
         entries.append(
             LeftOut(

@@ -1,0 +1,74 @@
+"""Stage *natural lightness*: the reference's lightness for each tissue, with the scan's own detail on it.
+
+Tissues change order between modalities: fat is darker than muscle in CT and lighter in a photograph. Keeping the scan's L*
+shows what no anatomy has; taking the reference's loses what the scan alone knows. So each pixel is taken apart:
+
+    L* = R + d,    d = L*_scan - E[L*_scan | place, R]
+
+R is the lightness that the matches give a pixel. E is the scan's mean lightness of what has the same R nearby: of that
+tissue. d, what the scan shows within a tissue, is the scan's own, whatever the order of the tissues. E is a bilateral grid
+(place, R), like the regression of colour on grey, but the other way round.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ..filters import regression
+
+DETAIL_GAIN = 0.6  # of the scan's detail within a tissue; what a photograph's tissue shows beside a scan's
+DETAIL_LIMIT = 30.0  # L*: detail larger than this is another tissue that the matches missed, and is pressed together
+AIR_LIGHTNESS = 8.0  # L* of the scan below which a pixel fades to what it is in the scan: air stays black
+_TISSUES = regression.RegressionParameters(cell_px=24.0, bins=24, support_px=16.0, levels=2)
+_RASTER = 240  # pixels of the box's longer side to which `cell_px` refers
+_NOISE_RADIUS_PX, _NOISE_DEVIATION = 2, 0.01  # square and deviation of display grey that count as noise
+_EVERY = 2  # each so many-th row and column is a witness of what lightness a tissue has in the scan
+
+
+def natural_lightness(own: np.ndarray, reference: np.ndarray, mask: np.ndarray, amount: float) -> np.ndarray:
+    """L* of a slice.
+
+    Args:
+        own: (rows, cols) L* of the scan. reference: (rows, cols) R. mask: (rows, cols) bool body.
+        amount: 0 gives the scan's own, 1 the reference's with the scan's detail; between them a mixture.
+
+    Returns:
+        (rows, cols) float32.
+    """
+    if amount == 0:
+        return own.astype(np.float32)
+    own, reference = own.astype(np.float32), reference.astype(np.float32)
+    detail = own - _mean_of_tissue(own, reference, mask)
+    natural = reference + np.float32(DETAIL_GAIN * DETAIL_LIMIT) * np.tanh(detail * np.float32(1 / DETAIL_LIMIT))
+    tissue = np.clip(own * np.float32(1 / AIR_LIGHTNESS), 0, 1) * np.float32(amount)
+    return own + tissue * (natural - own)
+
+
+def _mean_of_tissue(own: np.ndarray, reference: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """E[own | place, reference] at every pixel."""
+    tissues = replace(_TISSUES, cell_px=max(1.0, _TISSUES.cell_px * max(own.shape) / _RASTER))
+    guide = reference * np.float32(2.55)
+    few = (slice(None, None, _EVERY), slice(None, None, _EVERY))
+    weight = mask[few].astype(np.float32)
+    sums = regression.splat(own[few][..., None], guide[few], weight, tissues, every=_EVERY)
+    return regression.predict(regression.solve(sums, tissues), guide)[..., 0]
+
+
+def without_noise(grey: np.ndarray) -> np.ndarray:
+    """Display grey 0..1 (rows, cols) as float32, noise smoothed and edges kept: a guided filter of itself (He et al. 2013).
+
+    Where colour depends steeply on grey, noise would become colour.
+    """
+    grey = grey.astype(np.float32)
+    around = _mean_of_square(grey)
+    variance = np.maximum(_mean_of_square(grey * grey) - around * around, 0)
+    slope = variance / (variance + np.float32(_NOISE_DEVIATION**2))
+    return _mean_of_square(slope) * grey + _mean_of_square(around - slope * around)
+
+
+def _mean_of_square(values: np.ndarray) -> np.ndarray:
+    import cv2
+
+    return cv2.blur(values, (2 * _NOISE_RADIUS_PX + 1,) * 2, borderType=cv2.BORDER_REFLECT)
