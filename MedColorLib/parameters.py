@@ -84,7 +84,7 @@ class Settings:
     smoother: str = "auto"
     smoother_options: dict | None = None
     luminance: str = "natural"
-    lightness: float = 1.0
+    lightness: float = 0.9
     gamma: bool | None = None
     window: tuple[float, float] | None = None
     slices: tuple[int, int] | None = None
