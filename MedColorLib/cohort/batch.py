@@ -263,7 +263,7 @@ def color_file(
     expected = {**task.expected, "input": input_sha256(task.source)}
     if is_finished(task, expected):
         return Outcome(task.name, task.result, "skipped")
-    volume = read_volume(task.source)
+    volume = read_volume(task.source, below=False)  # the folders in it are volumes of their own
     settings = Settings.from_dict(task.settings)
     colored = colorize(volume, list(task.references), settings, progress, cancelled, resume)
     output.parent.mkdir(parents=True, exist_ok=True)
@@ -290,15 +290,12 @@ def _is_volume(file: Path) -> bool:
     name = file.name.lower()
     if not name.endswith(TIFF_ENDINGS):
         return name.endswith(VOLUME_ENDINGS) and file.is_file()
-    import cv2
+    from ..io.tiff import tiff_stacks
 
-    from ..io.pictures import quiet_cv2
-
-    with quiet_cv2():
-        try:
-            return cv2.imcount(str(file)) > 1
-        except cv2.error:
-            return False
+    try:
+        return max(len(stack.pages) for stack in tiff_stacks(file)) > 1
+    except (InputError, OSError):
+        return False
 
 
 def _is_former_result(folder: Path) -> bool:
