@@ -298,11 +298,12 @@ def _detector(header) -> list:
 
 def _mosaic(header, common: dict, pixels: Pixels) -> list[Frame]:
     """Slices as tiles of one picture. Siemens writes the position that a picture as large as the mosaic would have."""
+    common["whole"] = common["image"]
     count, normal = _mosaic_slices(header)
-    tiles = math.ceil(math.sqrt(count))
-    if count < 1 or pixels.rows % tiles or pixels.columns % tiles:
+    tiles = math.ceil(math.sqrt(max(count, 1)))
+    if count < 1 or tiles > min(pixels.rows, pixels.columns):
         return [_frame(header, [header], common, 0, pixels, tiles=0)]  # refused by name where it is chosen
-    columns, rows = pixels.columns // tiles, pixels.rows // tiles
+    columns, rows = pixels.columns // tiles, pixels.rows // tiles  # a rest stays empty at the end
     whole = _frame(header, [header], common, 0, pixels)
     step = _numbers(header.get("SpacingBetweenSlices")) or (whole.thickness_mm or 1.0,)
     frames = []
@@ -310,7 +311,7 @@ def _mosaic(header, common: dict, pixels: Pixels) -> list[Frame]:
         position: tuple[float, ...] = ()
         if whole.position_mm and whole.axes and whole.spacing_mm:
             axes = np.reshape(whole.axes, (2, 3))
-            inward = np.array([pixels.columns - columns, pixels.rows - rows]) / 2 * whole.spacing_mm
+            inward = np.array([pixels.columns, pixels.rows]) * (1 - 1 / tiles) / 2 * whole.spacing_mm
             up = np.cross(*axes) if normal is None or not np.any(normal) else np.asarray(normal)
             position = tuple((whole.position_mm + inward @ axes + number * abs(step[0]) * up).tolist())
         frames.append(

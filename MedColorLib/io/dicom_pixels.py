@@ -13,6 +13,7 @@ from ..errors import InputError
 from .dicom_header import NATIVE, Frame, Pixels, quiet_pydicom
 from .quiet import quiet_itk
 
+_RUN_LENGTHS = "1.2.840.10008.1.2.5"
 _SECONDARY_CAPTURE = "1.2.840.10008.5.1.4.1.1.7"
 
 
@@ -75,6 +76,8 @@ def _stored(frame: Frame, pixels: Pixels) -> np.ndarray:
             data = file.read(size)
     elif pixels.offset < 0:
         data = _unpacked(frame.path)[number * size : (number + 1) * size]
+    elif pixels.syntax == _RUN_LENGTHS:  # GDCM refuses some that are as the standard wants them
+        return _run_lengths(frame.path, number).reshape(shape).astype(pixels.stored)
     else:
         return _by_gdcm(_packed_frames(frame.path, pixels.frames)[number], pixels)
     if len(data) < size:
@@ -100,16 +103,30 @@ def _unpacked(path: Path) -> bytes:
         return pydicom.dcmread(path, force=True).PixelData
 
 
+def _run_lengths(path: Path, number: int) -> np.ndarray:
+    """One frame, unpacked by pydicom."""
+    import pydicom
+
+    with quiet_pydicom():
+        try:
+            from pydicom.pixels import pixel_array
+        except ImportError:  # pydicom 2, as Python 3.9 needs it
+            whole = pydicom.dcmread(path, force=True).pixel_array
+            return whole[number] if whole.ndim == 3 else whole
+        return pixel_array(path, index=number, raw=True)
+
+
 @lru_cache(maxsize=1)
 def _packed_frames(path: Path, count: int) -> list[bytes]:
     """The packed frames of a file, the pictures of JPEG and so on."""
     import pydicom
+    from pydicom import encaps
 
     with quiet_pydicom(), path.open("rb") as file:
         data = pydicom.dcmread(file, force=True).PixelData
-        if hasattr(pydicom.encaps, "generate_frames"):
-            return list(pydicom.encaps.generate_frames(data, number_of_frames=count))
-        return list(pydicom.encaps.generate_pixel_data_frame(data, count))  # pydicom 2, as Python 3.9 needs it
+        if hasattr(encaps, "generate_frames"):
+            return list(encaps.generate_frames(data, number_of_frames=count))
+        return list(encaps.generate_pixel_data_frame(data, count))  # pydicom 2, as Python 3.9 needs it
 
 
 def _by_gdcm(packed: bytes, pixels: Pixels) -> np.ndarray:

@@ -56,14 +56,36 @@ class Stack:
 def find_stacks(frames: Sequence[Frame]) -> list[Stack]:
     """All volumes, the largest first; of equal ones the first echo, time point and so on first."""
     unique, copies = _without_copies(frames)
+    series = {name: n for n, name in enumerate(dict.fromkeys(frame.series for frame in unique))}
     stacks = []
-    for members, notes in _sets(unique):
+    for members, notes in sorted(_sets(unique), key=lambda s: (series[s[0][0].series], min(f.instance for f in s[0]))):
         ordered = sorted(members, key=lambda frame: (place_of(frame), frame.instance, frame.number))
         stacks += [replace(stack, notes=(*notes, *stack.notes)) for stack in _split(Stack(tuple(ordered)))]
+    stacks = _named_apart(stacks)
     if copies:
         said = f"{copies} images were there twice (the same instance); one of each was taken"
         stacks = [replace(stack, notes=(*stack.notes, said)) for stack in stacks]
     return sorted(stacks, key=lambda stack: (-len(stack.frames), -math.prod(stack.size)))
+
+
+def _named_apart(stacks: list[Stack]) -> list[Stack]:
+    """Volumes that would be called the same (files of many frames of one series) get the trait that tells them apart."""
+    alike: dict[str, list[Stack]] = {}
+    for stack in stacks:
+        alike.setdefault(stack.label + str(stack.size), []).append(stack)
+    named = []
+    for stack in stacks:
+        others = alike[stack.label + str(stack.size)]
+        if len(others) > 1:
+            firsts = [other.frames[0] for other in others]
+            names = (name for name in TRAITS if name not in HIDDEN)
+            name = next((n for n in names if len({f.traits.get(n) for f in firsts}) == len(firsts)), None)
+            said = {"no.": f"{others.index(stack) + 1} of {len(others)}"} if name is None else {}
+            said = said or {name: _words(stack.frames[0].traits.get(name))}
+            named.append(replace(stack, said={**stack.said, **said}))
+        else:
+            named.append(stack)
+    return named
 
 
 def height_of(frame: Frame) -> float:
@@ -169,8 +191,8 @@ def _part(stack: Stack, name: str, number: int, values: list, parts: dict[Any, l
 
 def _places(frames: Sequence[Frame]) -> list[list[Frame]]:
     """Frames, in order, put together where they lie at one place."""
-    spacing = frames[0].spacing_mm
-    tolerance = _SAME_PLACE * min(spacing or (1.0,))
+    first = frames[0]
+    tolerance = max(_SAME_PLACE * min(first.spacing_mm or (1.0,)), _EVEN * first.thickness_mm)
     places: list[list[Frame]] = []
     for frame in frames:
         if places and place_of(frame) - place_of(places[-1][0]) <= tolerance:

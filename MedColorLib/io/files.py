@@ -68,6 +68,7 @@ def read_volume(
         MissingPackageError: the format needs a package that is not here.
     """
     with _input_errors(path) as source:
+        source = _medium(source)
         if not source.is_dir():
             return _reader(source)(source, max_bytes, volume)
         found = _look_into(source, below)
@@ -83,6 +84,7 @@ def list_volumes(path: str | os.PathLike) -> tuple[list[Choice], tuple[str, ...]
         InputError: as `read_volume`.
     """
     with _input_errors(path) as source:
+        source = _medium(source)
         if source.is_dir():
             found = _look_into(source)
             if found.kind == "pictures":
@@ -251,6 +253,11 @@ def _ending(path: Path, endings: Iterable[str]) -> str | None:
     return next((ending for ending in endings if path.name.lower().endswith(ending)), None)
 
 
+def _medium(path: Path) -> Path:
+    """The folder of a DICOM medium where its directory file is given: that holds no image itself."""
+    return path.parent if path.name.upper() == "DICOMDIR" and path.is_file() else path
+
+
 def _dicom_beside(path: Path) -> list[Path]:
     return [file for file in files_in(path.parent) if is_dicom(file)]
 
@@ -282,8 +289,6 @@ def _reader(path: Path) -> Callable[[Path, int, int | None], Volume]:
     ending = _ending(path, _READERS)
     if ending:
         return _READERS[ending]
-    if path.name.upper() == "DICOMDIR":
-        raise InputError("the directory of a DICOM medium holds no image; give the folder that it lies in")
     if is_dicom(path):
         return _read_single_dicom
     raise InputError(f"not a known image file; the endings are {', '.join(_READERS)}, or give a folder of slices")
