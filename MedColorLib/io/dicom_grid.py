@@ -53,7 +53,9 @@ def grid_of(frames: Sequence[Frame]) -> Grid:
         notes.append("no pixel spacing in the header: 1 mm is assumed")
     spacing = first.spacing_mm or (1.0, 1.0)
     if first.equidistant:
-        notes.append("a multi-frame file without positions of its frames: they are taken to be equidistant, as its header says")
+        notes.append(
+            "a multi-frame file without positions of its frames: they are taken to be equidistant, as its header says"
+        )
     if not has_place(first):
         return Grid(_assumed(first, spacing, len(frames), notes), shape, notes=tuple(notes))
     axes = np.reshape(first.axes, (2, 3))

@@ -95,6 +95,7 @@ def height_of(frame: Frame) -> float:
 
 
 def has_place(frame: Frame) -> bool:
+    """Whether the header says where the frame lies."""
     return bool(frame.position_mm and frame.axes)
 
 

@@ -68,7 +68,6 @@ def read_volume(
         MissingPackageError: the format needs a package that is not here.
     """
     with _input_errors(path) as source:
-        source = _medium(source)
         if not source.is_dir():
             return _reader(source)(source, max_bytes, volume)
         found = _look_into(source, below)
@@ -84,7 +83,6 @@ def list_volumes(path: str | os.PathLike) -> tuple[list[Choice], tuple[str, ...]
         InputError: as `read_volume`.
     """
     with _input_errors(path) as source:
-        source = _medium(source)
         if source.is_dir():
             found = _look_into(source)
             if found.kind == "pictures":
@@ -240,7 +238,7 @@ def _input_errors(path: str | os.PathLike) -> Iterator[Path]:
     try:
         if not path.exists():
             raise InputError("does not exist; check the spelling")
-        yield path
+        yield _medium(path)
     except InputError as error:
         raise InputError(f"{path}: {' '.join(str(error).split())}") from error  # libraries break lines
     except OSError as error:

@@ -54,7 +54,9 @@ def save(ds: Dataset, path: Path, **options) -> None:
     ds.save_as(path, **(options or {"enforce_file_format": True}))
 
 
-def save_stack(folder: Path, array: np.ndarray, heights: Sequence[float], first: int = 1, prefix: str = "", **fields) -> None:
+def save_stack(
+    folder: Path, array: np.ndarray, heights: Sequence[float], first: int = 1, prefix: str = "", **fields
+) -> None:
     """Slices numbered from `first` on; the file names are in another order."""
     for n, (plane, height) in enumerate(zip(array, heights)):
         ds = classic(plane, height, first + n, **{k: v(n) if callable(v) else v for k, v in fields.items()})
@@ -68,7 +70,9 @@ def macro(**fields) -> Items:
     return Items([item])
 
 
-def enhanced(frames: Sequence[np.ndarray], heights: Sequence[float], groups: Sequence[dict] = (), series: str = "1.2.3.5") -> Dataset:
+def enhanced(
+    frames: Sequence[np.ndarray], heights: Sequence[float], groups: Sequence[dict] = (), series: str = "1.2.3.5"
+) -> Dataset:
     """Enhanced MR; `groups`: for each frame macro keyword -> its elements, as {"MREchoSequence": {"EffectiveEchoTime": 5.0}}."""
     ds = _image(EnhancedMRImageStorage, frames[0], series, 1)
     ds.NumberOfFrames = len(frames)
@@ -87,7 +91,9 @@ def enhanced(frames: Sequence[np.ndarray], heights: Sequence[float], groups: Seq
     return ds
 
 
-def mosaic(array: np.ndarray, corner_mm: Sequence[float], number: int = 1, count_known: bool = True, **fields) -> Dataset:
+def mosaic(
+    array: np.ndarray, corner_mm: Sequence[float], number: int = 1, count_known: bool = True, **fields
+) -> Dataset:
     """Slices as tiles of one picture, with the position that Siemens writes for slices that begin at `corner_mm`."""
     count, rows, columns = array.shape
     edge = int(np.ceil(np.sqrt(count)))

@@ -11,7 +11,9 @@ from dicom_samples import ORIGIN_MM, SPACING_MM, classic, enhanced, planes, save
 
 from MedColorLib.io.files import read_volume
 
-GRADIENT = np.array([30.0, -20.0, 12.0])  # grey values per millimetre: what is linear in space survives linear resampling
+GRADIENT = np.array(
+    [30.0, -20.0, 12.0]
+)  # grey values per millimetre: what is linear in space survives linear resampling
 SHAPE = (24, 20)
 OBLIQUE = (0.8, 0.6, 0.0, -0.48, 0.64, 0.6)
 
@@ -72,7 +74,9 @@ def test_jitter_of_height_and_sideways(tmp_path: Path) -> None:
 
 def test_frames_of_one_file_are_resampled_as_slices_are(tmp_path: Path) -> None:
     heights = [0, 3, 6, 9.5, 12, 15]
-    save(enhanced([linear_slice(np.array((*ORIGIN_MM, h)), np.eye(3)[:2]) for h in heights], heights), tmp_path / "a.dcm")
+    save(
+        enhanced([linear_slice(np.array((*ORIGIN_MM, h)), np.eye(3)[:2]) for h in heights], heights), tmp_path / "a.dcm"
+    )
     check_linear(tmp_path, "resampled to 3 mm (linear)")
 
 

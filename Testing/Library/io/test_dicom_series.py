@@ -111,7 +111,7 @@ def test_gap_is_reported_with_its_place_and_size_and_filled(tmp_path: Path) -> N
 
 def test_blocks_far_from_each_other_are_refused(tmp_path: Path) -> None:
     save_stack(tmp_path, along_z(0, 3, 6, 99, 102))
-    with pytest.raises(InputError, match="blocks far from each other.*folder of their own"):
+    with pytest.raises(InputError, match=r"blocks far from each other.*folder of their own"):
         read_volume(tmp_path)
 
 

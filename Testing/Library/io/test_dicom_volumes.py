@@ -54,7 +54,9 @@ def is_either(folder: Path, words: str, first: np.ndarray = A, second: np.ndarra
         ("FrameReferenceTime", (1000, 61000), "reference time 61000 ms"),
     ],
 )
-def test_volumes_at_the_same_places_with_the_same_numbers(trait: str, values: tuple, words: str, tmp_path: Path) -> None:
+def test_volumes_at_the_same_places_with_the_same_numbers(
+    trait: str, values: tuple, words: str, tmp_path: Path
+) -> None:
     both(tmp_path, {trait: values[0]}, {trait: values[1]})
     is_either(tmp_path, words)
 
@@ -136,7 +138,9 @@ def test_a_series_for_every_slice(tmp_path: Path) -> None:
         save(classic(plane, HEIGHTS[n], n + 1, series=generate_uid()), tmp_path / f"{9 - n}.dcm")
     volume = read_volume(tmp_path)
     np.testing.assert_array_equal(volume.array, A)
-    assert volume.notes == ("every slice has a series of its own; slices of one grid at different places were put together",)
+    assert volume.notes == (
+        "every slice has a series of its own; slices of one grid at different places were put together",
+    )
 
 
 # --- multi-frame ----------------------------------------------------------------------------------------------------
@@ -165,7 +169,11 @@ def test_frames_with_a_gap(tmp_path: Path) -> None:
         ("MREchoSequence", ({"EffectiveEchoTime": 5.0}, {"EffectiveEchoTime": 50.0}), "echo time 50 ms"),
         ("MRDiffusionSequence", ({"DiffusionBValue": 0.0}, {"DiffusionBValue": 700.0}), "b-value 700"),
         ("TemporalPositionSequence", ({"TemporalPositionIndex": 1}, {"TemporalPositionIndex": 2}), "time point 2"),
-        ("FrameContentSequence", ({"DimensionIndexValues": [1, 1]}, {"DimensionIndexValues": [1, 2]}), "dimension 2: 2"),
+        (
+            "FrameContentSequence",
+            ({"DimensionIndexValues": [1, 1]}, {"DimensionIndexValues": [1, 2]}),
+            "dimension 2: 2",
+        ),
         (
             "MRImageFrameTypeSequence",
             ({"FrameType": ["ORIGINAL", "PRIMARY", "M", "NONE"]}, {"FrameType": ["ORIGINAL", "PRIMARY", "P", "NONE"]}),
@@ -188,7 +196,10 @@ def test_contrasts_of_one_file(macro: str, values: tuple, words: str, tmp_path: 
 
 
 def test_every_frame_has_its_own_rescale(tmp_path: Path) -> None:
-    groups = [{"PixelValueTransformationSequence": {"RescaleSlope": 0.25 * (n + 1), "RescaleIntercept": -n}} for n in range(10)]
+    groups = [
+        {"PixelValueTransformationSequence": {"RescaleSlope": 0.25 * (n + 1), "RescaleIntercept": -n}}
+        for n in range(10)
+    ]
     save(enhanced(A, HEIGHTS, groups), tmp_path / "a.dcm")
     volume = read_volume(tmp_path / "a.dcm")
     expected = [A[n] * 0.25 * (n + 1) - n for n in range(10)]
@@ -239,7 +250,7 @@ def test_mosaics_are_time_points(tmp_path: Path) -> None:
 
 def test_mosaic_of_unknown_slices_is_refused(tmp_path: Path) -> None:
     save(mosaic(A, (*ORIGIN_MM, 0), count_known=False), tmp_path / "a.dcm")
-    with pytest.raises(InputError, match="a Siemens mosaic.*convert it with dcm2niix"):
+    with pytest.raises(InputError, match=r"a Siemens mosaic.*convert it with dcm2niix"):
         read_volume(tmp_path / "a.dcm")
 
 

@@ -92,7 +92,10 @@ def test_time_points_of_a_nifti(ending: str, tmp_path: Path) -> None:
         volume = read_volume(path, volume=number)
         np.testing.assert_array_equal(volume.array, A + 100 * (number - 1))
         assert f"time point {number} (5 x 4 x 3) was read, as asked for" in volume.notes[0]
-    assert [choice.text() for choice in list_volumes(path)[0]] == ["time point 1 (5 x 4 x 3)", "time point 2 (5 x 4 x 3)"]
+    assert [choice.text() for choice in list_volumes(path)[0]] == [
+        "time point 1 (5 x 4 x 3)",
+        "time point 2 (5 x 4 x 3)",
+    ]
     image.header.set_slope_inter(2, 1)
     nib.save(image, path)
     np.testing.assert_array_equal(read_volume(path, volume=2).array, nib.load(path).get_fdata()[..., 1].T)
@@ -126,7 +129,9 @@ def test_ends_of_the_axes_of_an_nrrd(lines: str, spacing: tuple, origin: tuple, 
         np.testing.assert_allclose(image.GetOrigin(), origin)
 
 
-@pytest.mark.parametrize("unit, scale", [("m", 1000), ("um", 1e-3), ("µm", 1e-3), ("mm", 1), ("", 1), ("furlong", None)])
+@pytest.mark.parametrize(
+    "unit, scale", [("m", 1000), ("um", 1e-3), ("µm", 1e-3), ("mm", 1), ("", 1), ("furlong", None)]
+)
 @pytest.mark.parametrize("with_space", [True, False])
 def test_units_of_an_nrrd(unit: str, scale: float | None, with_space: bool, tmp_path: Path) -> None:
     quoted = " ".join([f'"{unit}"'] * 3)

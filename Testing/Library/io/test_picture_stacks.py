@@ -58,7 +58,9 @@ def test_series_in_one_folder(tmp_path: Path) -> None:
     save_named(tmp_path, [f"mask_{n:03}.png" for n in range(8)], A[::-1])
     volume = read_volume(tmp_path)
     np.testing.assert_array_equal(volume.array, A)
-    assert "left out: 2: mask_000.png to mask_007.png (9 x 7 x 8)" in volume.notes[0] and "--volume N" in volume.notes[0]
+    assert (
+        "left out: 2: mask_000.png to mask_007.png (9 x 7 x 8)" in volume.notes[0] and "--volume N" in volume.notes[0]
+    )
     np.testing.assert_array_equal(read_volume(tmp_path, volume=2).array, A[::-1][:8])
 
 
@@ -115,7 +117,9 @@ def test_white_is_zero(dtype: str, where: str, tmp_path: Path) -> None:
             tifffile.imwrite(tmp_path / f"{n}.tif", top - plane, photometric="miniswhite")
     volume = read_volume(source)
     np.testing.assert_array_equal(volume.array, array)
-    assert volume.notes[0].startswith(f"WhiteIsZero: larger numbers are meant to look darker; they were turned round ({top}")
+    assert volume.notes[0].startswith(
+        f"WhiteIsZero: larger numbers are meant to look darker; they were turned round ({top}"
+    )
 
 
 def test_imagej_hyperstack(tmp_path: Path) -> None:
@@ -136,7 +140,13 @@ def test_imagej_hyperstack(tmp_path: Path) -> None:
 
 def test_ome(tmp_path: Path) -> None:
     stack = np.stack([np.stack([A, A[::-1]]), np.stack([A // 2, A // 3])])  # T, C, Z
-    meta = {"axes": "TCZYX", "PhysicalSizeX": 0.5, "PhysicalSizeY": 0.5, "PhysicalSizeZ": 1.5, "PhysicalSizeZUnit": "mm"}
+    meta = {
+        "axes": "TCZYX",
+        "PhysicalSizeX": 0.5,
+        "PhysicalSizeY": 0.5,
+        "PhysicalSizeZ": 1.5,
+        "PhysicalSizeZUnit": "mm",
+    }
     tifffile.imwrite(tmp_path / "a.ome.tif", stack, metadata=meta, photometric="minisblack")
     volume = read_volume(tmp_path / "a.ome.tif")
     np.testing.assert_array_equal(volume.array, A)
@@ -156,7 +166,8 @@ def test_a_file_that_names_others_does_not_open_them(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "resolution, unit, spacing", [((200, 100), "CENTIMETER", (0.05, 0.1)), ((300, 300), "INCH", None), ((1, 1), "NONE", None)]
+    "resolution, unit, spacing",
+    [((200, 100), "CENTIMETER", (0.05, 0.1)), ((300, 300), "INCH", None), ((1, 1), "NONE", None)],
 )
 def test_voxel_size_in_resolution_tags(resolution: tuple, unit: str, spacing: tuple | None, tmp_path: Path) -> None:
     for n, plane in enumerate(A):
@@ -164,7 +175,10 @@ def test_voxel_size_in_resolution_tags(resolution: tuple, unit: str, spacing: tu
     volume = read_volume(tmp_path)
     np.testing.assert_allclose(volume.spacing_mm, (*spacing, spacing[0]) if spacing else (1, 1, 1))
     if spacing:
-        assert "from the resolution tags, the distance of the slices is not said: it is taken to be that of the" in volume.notes[0]
+        assert (
+            "from the resolution tags, the distance of the slices is not said: it is taken to be that of the"
+            in volume.notes[0]
+        )
     else:
         assert volume.notes == (ASSUMED,)
 
@@ -181,7 +195,9 @@ def test_pages_that_differ_and_pages_that_are_missing(tmp_path: Path) -> None:
 # --- grey saved as colours ------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", ["rgb", "rgba", "grey and alpha", "palette", "tiff rgb", "tiff planar", "tiff palette"])
+@pytest.mark.parametrize(
+    "kind", ["rgb", "rgba", "grey and alpha", "palette", "tiff rgb", "tiff planar", "tiff palette"]
+)
 def test_grey_saved_as_colours_is_read_as_grey(kind: str, tmp_path: Path) -> None:
     from PIL import Image
 
@@ -218,11 +234,13 @@ def test_grey_saved_as_colours_is_read_as_grey(kind: str, tmp_path: Path) -> Non
 def test_transparency_that_varies_is_said_and_colours_are_refused(tmp_path: Path) -> None:
     plane = np.repeat((A[0] >> 8).astype(np.uint8)[..., None], 4, axis=2)
     for n in range(2):
-        cv2.imwrite(str(tmp_path / f"{n}.png"), np.dstack([plane[..., :3], np.arange(63, dtype=np.uint8).reshape(7, 9)]))
+        cv2.imwrite(
+            str(tmp_path / f"{n}.png"), np.dstack([plane[..., :3], np.arange(63, dtype=np.uint8).reshape(7, 9)])
+        )
     assert "the transparency of the pictures is left out" in read_volume(tmp_path).notes
     plane[3, 3, 1] += 1
     cv2.imwrite(str(tmp_path / "1.png"), plane[..., :3])
-    with pytest.raises(InputError, match="slice 1.png: a colour or vector image"):
+    with pytest.raises(InputError, match=r"slice 1.png: a colour or vector image"):
         read_volume(tmp_path)
 
 
@@ -235,7 +253,9 @@ def test_size_is_checked_before_memory_is_taken(tmp_path: Path) -> None:
         return struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
 
     header = struct.pack(">IIBBBBB", 60000, 60000, 16, 0, 0, 0, 0)
-    text = b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(bytes(99))) + chunk(b"IEND", b"")
+    text = (
+        b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(bytes(99))) + chunk(b"IEND", b"")
+    )
     for n in range(2):
         (tmp_path / f"{n}.png").write_bytes(text)
     with pytest.raises(InputError, match="ends before"):

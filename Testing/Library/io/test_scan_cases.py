@@ -21,10 +21,14 @@ EXPECTED: dict[str, dict[str, tuple]] = {
     "enhanced_two_contrasts": {"": (RISE[10], (2, 2, 3), ["left out: 2: ", "--volume"])},
     "folder_of_multipage_tiffs": {"three": (RISE[24], None, ["3 TIFFs of 8, 8, 8 pages"]), "one": (RISE[24], None, [])},
     "grey_saved_as_rgb": {kind: ([37, 58, 79, 100], None, ["grey saved as"]) for kind in ("rgb", "palette", "alpha")},
-    "medium_with_dicomdir": {kind: (RISE[5], (2, 2, 3), []) for kind in ("dicomdir", "logo", "report", "dicomdir/DICOMDIR")},
+    "medium_with_dicomdir": {
+        kind: (RISE[5], (2, 2, 3), []) for kind in ("dicomdir", "logo", "report", "dicomdir/DICOMDIR")
+    },
     "monochrome1_window": {"": (RISE[12], (2, 2, 3), ["MONOCHROME1", "turned round"])},
     "mosaic": {"": (RISE[6], (2, 2, 3), ["mosaic"])},
-    "nifti_sform_and_qform": {"differ.nii.gz": (RISE[12], (2, 2, 3), ["sform and qform", "90 degrees", "the qform is used"])},
+    "nifti_sform_and_qform": {
+        "differ.nii.gz": (RISE[12], (2, 2, 3), ["sform and qform", "90 degrees", "the qform is used"])
+    },
     "no_preamble": {"": (RISE[12], (2, 2, 3), [])},
     "nrrd_axis_mins": {
         "axis_mins.nrrd": (RISE[12], (2, 2, 3), ["axis mins"]),
@@ -43,12 +47,16 @@ def test_case(case: str, tmp_path: Path) -> None:
     script = CASES / case / "make.py"
     if not script.is_file():
         pytest.skip("the cases are not here")
-    subprocess.run([sys.executable, str(script), str(tmp_path)], check=True, env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1"})
+    subprocess.run(
+        [sys.executable, str(script), str(tmp_path)], check=True, env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1"}
+    )
     for name, (centres, spacing, words) in EXPECTED[case].items():
         found = sorted(tmp_path.glob(name)) if "*" in name else [tmp_path / name]
         for path in found:
             volume = read_volume(path)
-            seen = np.round(volume.array[:, volume.array.shape[1] // 2, volume.array.shape[2] // 2]).astype(int).tolist()
+            seen = (
+                np.round(volume.array[:, volume.array.shape[1] // 2, volume.array.shape[2] // 2]).astype(int).tolist()
+            )
             assert (seen == centres) if centres else seen == sorted(seen)
             if spacing:
                 np.testing.assert_allclose(volume.spacing_mm, spacing, rtol=1e-6)
