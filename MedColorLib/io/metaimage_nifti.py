@@ -72,7 +72,10 @@ def read_meta_image(path: Path, max_bytes: int, number: int | None = None) -> Vo
     attached = fields["ElementDataFile"].upper() == "LOCAL"
     source, start = (path, end) if attached else (data_file(path, fields["ElementDataFile"]), 0)
     notes: list[str] = []
-    matrix = repaired(matrix, shape, notes)
+    scale = {"um": 1e-3, "cm": 10.0, "m": 1e3}.get(fields.get("DistanceUnits", "mm"), 1.0)
+    if scale != 1.0:
+        notes.append(f"the MetaImage header's unit is not millimetres; the geometry was multiplied by {scale:g}")
+    matrix = repaired(np.diag([scale, scale, scale, 1.0]) @ matrix, shape, notes)
     array = read_voxels(source, start, shape, dtype.newbyteorder(">" if big_endian else "<"), encoding, skip=skip)
     return Volume(array, matrix, name=title(path), notes=tuple(notes))
 
@@ -136,7 +139,9 @@ def load_nifti(path: Path):
     try:
         with _quiet_nibabel():
             image = nib.load(path, mmap="r")
-    except (nib.filebasedimages.ImageFileError, nib.spatialimages.HeaderDataError, EOFError, zlib.error) as error:
+    except (OSError, MemoryError):
+        raise
+    except Exception as error:  # nibabel raises whatever a damaged header makes its parts raise
         raise InputError(f"not a readable NIfTI ({error})") from error
     if not isinstance(image, nib.Nifti1Image):
         raise InputError(f"holds a {type(image).__name__}, not a NIfTI; save it as NIfTI or NRRD")
@@ -164,7 +169,7 @@ def _as_itk_takes_it(sform: np.ndarray, code: int, image, notes: list[str]) -> n
 
     try:
         qform = np.array(image.header.get_qform(), dtype=np.float64)
-    except nib.spatialimages.HeaderDataError:
+    except (nib.spatialimages.HeaderDataError, ValueError):
         notes.append("the qform of the NIfTI header is damaged; the sform is used")
         return sform
     corners = np.array(list(np.ndindex(2, 2, 2))) * (np.array(image.shape[:3]) - 1)

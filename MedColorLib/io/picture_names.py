@@ -15,7 +15,7 @@ import numpy as np
 
 from .voxel_data import natural_key
 
-_SIGN, _POINT = r"(?:(?<![0-9])-)?", r"(?:[.,]\d+)?"
+_SIGN, _POINT = r"(?:(?<![0-9])[-+])?", r"(?:[.,]\d+)?"
 _NUMBERS = {
     (sign, decimal): re.compile("(" + _SIGN * sign + r"\d+" + _POINT * decimal + ")")
     for sign in (False, True)

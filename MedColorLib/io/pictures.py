@@ -222,14 +222,27 @@ def _png(path: Path, max_bytes: int, notes: set[str]) -> np.ndarray:
     check_size(shape, np.dtype("u2" if bits == 16 else "u1"), max_bytes)
     if rows * (columns * shape[2] * bits // 8) > path.stat().st_size * MAX_DEFLATE_RATIO:
         raise InputError(IS_TRUNCATED)
+    data = path.read_bytes()
+    if not _has_whole_chunks(data):
+        raise InputError(IS_TRUNCATED)
     with quiet_cv2():
         try:
-            picture = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_UNCHANGED)
+            picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
         except cv2.error:
             picture = None
     if picture is None:
         raise InputError("not a readable PNG or TIFF image, or cut short; copy or export it again")
     return picture if picture.ndim == 2 else grey_of(picture, _PNG_KINDS.get(kind, "colours"), notes)
+
+
+def _has_whole_chunks(data: bytes) -> bool:
+    """Whether every chunk of a PNG ends inside the file: OpenCV takes memory for as much as a chunk says it holds."""
+    at = 8
+    while at < len(data):
+        if at + 12 > len(data) or data[at + 4 : at + 8] == b"IEND":
+            return data[at + 4 : at + 8] == b"IEND"
+        at += 12 + int.from_bytes(data[at : at + 4], "big")
+    return at == len(data)
 
 
 def _png_spacing(path: Path) -> tuple[float | None, float | None, float | None]:

@@ -86,7 +86,12 @@ def _opened(path: Path) -> Iterator:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             with path.open("rb") as stream, tifffile.TiffFile(stream, name=path.name, _multifile=False) as file:
-                yield file
+                if file.is_ome and any(page is None for series in file.series for page in series.pages):
+                    stream.seek(0)  # one file of many: its words speak of pages that lie in others
+                    with tifffile.TiffFile(stream, name=path.name, is_ome=False) as alone:
+                        yield alone
+                else:
+                    yield file
     except (InputError, OSError, MemoryError, MissingPackageError):
         raise
     except Exception as error:  # whatever a damaged file makes its parts raise

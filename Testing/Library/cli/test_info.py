@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import cv2
@@ -54,3 +57,19 @@ def test_volume_is_chosen_and_its_notes_are_said(two_points: Path, ct, capsys: p
 def test_missing_input(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     assert main(["info", str(tmp_path / "nothing")]) == 2
     assert "does not exist" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("encoding", ["utf-8:strict", "ascii:strict"])
+def test_names_that_the_terminal_cannot_show(encoding: str, two_points: Path) -> None:
+    source = os.path.join(os.fsencode(two_points.parent), b"M\xfcller\xc3\xa4.nii.gz")
+    os.rename(two_points, source)
+    command = [sys.executable, "-m", "MedColorLib", "info", source]
+    done = subprocess.run(command, capture_output=True, env={**os.environ, "PYTHONIOENCODING": encoding}, check=False)
+    assert done.returncode == 0 and b"time point 2" in done.stdout
+    done = subprocess.run(
+        [*command[:-1], source + b"x"],
+        capture_output=True,
+        env={**os.environ, "PYTHONIOENCODING": encoding},
+        check=False,
+    )
+    assert done.returncode == 2 and b"M\\udcfcller" in done.stderr and done.stderr.count(b"\n") == 1

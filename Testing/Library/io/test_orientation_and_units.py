@@ -189,3 +189,13 @@ def test_meta_image_with_a_fourth_axis_of_length_one(tmp_path: Path) -> None:
     volume = read_volume(tmp_path / "a.mha")
     np.testing.assert_array_equal(volume.array, A)
     np.testing.assert_allclose(volume.ijk_to_ras, LPS @ [[2, 0, 0, 4], [0, 2, 0, 5], [0, 0, 3, 6], [0, 0, 0, 1]])
+
+
+@pytest.mark.parametrize("unit, scale", [("um", 1e-3), ("m", 1e3), ("mm", 1)])
+def test_units_of_a_meta_image(unit: str, scale: float, tmp_path: Path) -> None:
+    lines = f"NDims = 3\nDimSize = 5 4 3\nElementSpacing = 2 2 3\nOffset = 4 5 6\nDistanceUnits = {unit}\n"
+    text = f"{lines}ElementType = MET_SHORT\nBinaryData = True\nElementDataFile = LOCAL\n"
+    (tmp_path / "a.mha").write_bytes(text.encode() + A.tobytes())
+    volume = read_volume(tmp_path / "a.mha")
+    np.testing.assert_allclose(volume.ijk_to_ras @ (1, 1, 1, 1), (*np.multiply((-6, -7, 9), scale), 1))
+    assert len(volume.notes) == (scale != 1)

@@ -32,6 +32,7 @@ def save_named(folder: Path, names: list[str], array: np.ndarray = A) -> None:
         ([f"slice-{n + 1:03}.png" for n in range(12)], None),
         ([f"z{3 * n - 15}.png" for n in range(12)], "taken as a minus"),
         ([f"{n - 6}.png" for n in range(12)], "taken as a minus"),
+        ([f"z{n - 6:+}.png" for n in range(12)], "taken as a minus"),
         ([f"z{(n - 5) * 0.5:g}.png" for n in range(12)], "taken as decimals"),
         ([f"z{n * 0.25:.2f}.png" for n in range(12)], "taken as decimals"),
         ([f"z{n * 0.25:g}.png" for n in range(12)], "taken as decimals"),
@@ -163,6 +164,48 @@ def test_a_file_that_names_others_does_not_open_them(tmp_path: Path) -> None:
     tifffile.imwrite(tmp_path / "a.ome.tif", A // 2, description=data.encode(), metadata=None, photometric="minisblack")
     secret.rename(tmp_path / "others.ome.tif")
     np.testing.assert_array_equal(read_volume(tmp_path / "a.ome.tif").array, A // 2)
+
+
+def test_slices_whose_words_speak_of_the_whole_stack(tmp_path: Path) -> None:
+    """As microscopes save them: every file says that there are 12 planes, and holds one."""
+    tifffile.imwrite(
+        tmp_path / "whole.ome.tif", A, metadata={"axes": "ZYX", "PhysicalSizeX": 2.0}, photometric="minisblack"
+    )
+    words = tifffile.tiffcomment(tmp_path / "whole.ome.tif")
+    (tmp_path / "whole.ome.tif").unlink()
+    for n, plane in enumerate(A):
+        tifffile.imwrite(tmp_path / f"z{n}.ome.tif", plane, description=words.encode(), metadata=None)
+    np.testing.assert_array_equal(read_volume(tmp_path).array, A)
+
+
+def test_pixels_per_metre_of_a_png(tmp_path: Path) -> None:
+    from PIL import Image
+
+    for name, dots, spacing in (("scan", 2540, 0.01), ("print", 300, 1.0)):
+        (tmp_path / name).mkdir()
+        for n, plane in enumerate(A):
+            Image.fromarray(plane).save(tmp_path / name / f"{n}.png", dpi=(dots, dots))
+        volume = read_volume(tmp_path / name)
+        np.testing.assert_array_equal(volume.array, A)
+        np.testing.assert_allclose(volume.spacing_mm, [spacing] * 3)
+        assert ("from the resolution in the pictures" in volume.notes[0]) == (name == "scan")
+
+
+@pytest.mark.parametrize("kind", ["tiled", "big", "jpeg", "bilevel", "float", "signed"])
+def test_other_ways_of_tiff(kind: str, tmp_path: Path) -> None:
+    options = {"tiled": {"tile": (16, 16)}, "big": {"bigtiff": True, "byteorder": ">"}}.get(kind, {})
+    dtype = {"float": "f4", "signed": "i2", "bilevel": bool}.get(kind, "u2")
+    array = (A > 30000) if kind == "bilevel" else A.astype(np.int64).astype(dtype)
+    if kind == "jpeg":
+        array = np.repeat(np.arange(12, dtype=np.uint8)[:, None, None] * 20, 256, axis=1).repeat(16, axis=2)
+        assert cv2.imwritemulti(str(tmp_path / "a.tif"), list(array), [cv2.IMWRITE_TIFF_COMPRESSION, 7])
+    else:
+        tifffile.imwrite(tmp_path / "a.tif", array, photometric="minisblack", **options)
+    volume = read_volume(tmp_path / "a.tif")
+    np.testing.assert_allclose(
+        volume.array, array * 255 if kind == "bilevel" else array, atol=2 if kind == "jpeg" else 0
+    )
+    assert volume.notes == (ASSUMED,)
 
 
 @pytest.mark.parametrize(
