@@ -238,7 +238,8 @@ def _input_errors(path: str | os.PathLike) -> Iterator[Path]:
     try:
         if not path.exists():
             raise InputError("does not exist; check the spelling")
-        yield _medium(path)
+        with np.errstate(all="ignore"):  # numbers of damaged headers overflow; `Volume` refuses what comes of it
+            yield _medium(path)
     except InputError as error:
         raise InputError(f"{path}: {' '.join(str(error).split())}") from error  # libraries break lines
     except OSError as error:

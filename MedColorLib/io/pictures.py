@@ -163,6 +163,8 @@ def _voxels(stack: _Stack, max_bytes: int) -> tuple[np.ndarray, set[str]]:
     names: list[str] = []
     planes = itertools.chain.from_iterable(_planes(file, stack, max_bytes, notes) for file in stack.files.files)
     for number, (name, plane) in enumerate(planes):
+        if plane.ndim != 2:
+            raise InputError(f"{name} holds no picture; save the stack again")
         if number == 0:
             check_size((stack.slices, *plane.shape), plane.dtype, max_bytes)
             array = np.empty((stack.slices, *plane.shape), plane.dtype)
