@@ -83,6 +83,7 @@ class Outcome:
         volume, output: names relative to the two folders.
         state: "done", "skipped" (finished before), "failed" or "not reached" (the batch was interrupted).
         seconds: of the work; reason: of a failure, one line; resumed_slices: taken from an interrupted run.
+        notes: what the reader decided, such as which of several volumes it took.
     """
 
     volume: str
@@ -91,11 +92,13 @@ class Outcome:
     seconds: float = 0.0
     reason: str = ""
     resumed_slices: int = 0
+    notes: tuple[str, ...] = ()
 
     def text(self) -> str:
         """State, and seconds or reason."""
         resumed = f", {self.resumed_slices} slices from an interrupted run" if self.resumed_slices else ""
-        last = {"done": f"{self.seconds:.1f} s{resumed}", "skipped": "finished before"}
+        noted = f"; {'; '.join(self.notes)}" if self.notes else ""
+        last = {"done": f"{self.seconds:.1f} s{resumed}{noted}", "skipped": "finished before"}
         return f"{self.state:<7}  {last.get(self.state, self.reason)}"
 
 
@@ -273,7 +276,8 @@ def color_file(
     write_report(colored.report, task.report)
     forget_run(colored.report, resume)
     seconds = round(time.perf_counter() - started, 2)
-    return Outcome(task.name, task.result, "done", seconds, resumed_slices=colored.report["resumed_slices"])
+    resumed = colored.report["resumed_slices"]
+    return Outcome(task.name, task.result, "done", seconds, resumed_slices=resumed, notes=volume.notes)
 
 
 def is_finished(task: Task, expected: dict) -> bool:

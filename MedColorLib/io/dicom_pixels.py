@@ -11,7 +11,7 @@ import numpy as np
 
 from ..errors import InputError
 from .dicom_header import NATIVE, Frame, Pixels, quiet_pydicom
-from .quiet import quiet_itk
+from .quiet import itk_name, quiet_itk
 
 _RUN_LENGTHS = "1.2.840.10008.1.2.5"
 _SECONDARY_CAPTURE = "1.2.840.10008.5.1.4.1.1.7"
@@ -138,8 +138,9 @@ def _by_gdcm(packed: bytes, pixels: Pixels) -> np.ndarray:
         _write_frame(path, packed, pixels)
         reader = sitk.ImageFileReader()
         reader.SetImageIO("GDCMImageIO")
-        reader.SetFileName(str(path))
-        decoded = sitk.GetArrayFromImage(reader.Execute())
+        with itk_name(path) as name:
+            reader.SetFileName(name)
+            decoded = sitk.GetArrayFromImage(reader.Execute())
     if decoded.shape != (1, pixels.rows, pixels.columns):
         raise ValueError("not as large as the header says")
     return decoded[0].astype(pixels.stored)

@@ -7,6 +7,7 @@ slice of one volume (times of slices, numbers of acquisitions).
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -15,7 +16,9 @@ from typing import Any
 
 import numpy as np
 
+from ..errors import InputError
 from .dicom_header import Frame
+from .dicom_pixels import values
 from .dicom_traits import CONTRASTS, HIDDEN, TIMES, TRAITS
 
 _SAME_DIRECTION = 1e-3  # distance of the direction cosines; headers round them to about 1e-6
@@ -76,16 +79,30 @@ def _named_apart(stacks: list[Stack]) -> list[Stack]:
     named = []
     for stack in stacks:
         others = alike[stack.label + str(stack.size)]
-        if len(others) > 1:
-            firsts = [other.frames[0] for other in others]
-            names = (name for name in TRAITS if name not in HIDDEN)
-            name = next((n for n in names if len({f.traits.get(n) for f in firsts}) == len(firsts)), None)
-            said = {"no.": f"{others.index(stack) + 1} of {len(others)}"} if name is None else {}
-            said = said or {name: _words(stack.frames[0].traits.get(name))}
-            named.append(replace(stack, said={**stack.said, **said}))
-        else:
-            named.append(stack)
+        named.append(replace(stack, said={**stack.said, **_apart(stack, others)}) if len(others) > 1 else stack)
     return named
+
+
+def _apart(stack: Stack, others: list[Stack]) -> dict[str, str]:
+    """What tells a volume from others of its name: the plane, a trait, the pixels, or its number among them."""
+    firsts = [other.frames[0] for other in others]
+    first = stack.frames[0]
+    if len({_plane(frame) for frame in firsts}) == len(firsts):
+        return {"plane": _plane(first)}
+    for name in TRAITS:
+        if name not in HIDDEN and len({frame.traits.get(name) for frame in firsts}) == len(firsts):
+            return {name: _words(first.traits.get(name))}
+    if len({frame.spacing_mm for frame in firsts}) == len(firsts):
+        return {"pixels of (mm)": " x ".join(f"{edge:.4g}" for edge in first.spacing_mm or (1.0, 1.0))}
+    return {"no.": f"{others.index(stack) + 1} of {len(others)}"}
+
+
+def _plane(frame: Frame) -> str:
+    """Transverse, coronal or sagittal, after the axis that the normal is nearest to."""
+    if not frame.axes:
+        return "unknown"
+    normal = np.abs(np.cross(frame.axes[:3], frame.axes[3:]))
+    return ("sagittal", "coronal", "transverse")[int(np.argmax(normal))]
 
 
 def height_of(frame: Frame) -> float:
@@ -173,6 +190,9 @@ def _same_grid(a: Frame, b: Frame) -> bool:
 def _split(stack: Stack) -> list[Stack]:
     """The volumes of a set whose frames are in order."""
     places = _places(stack.frames)
+    if len(places) < len(stack.frames) and (single := _without_equals(places)):
+        note = f"{len(stack.frames) - len(single)} images were there twice under other names; one of each was taken"
+        return _split(replace(stack, frames=tuple(single), notes=(*stack.notes, note)))
     crowded = len(places) < len(stack.frames)
     names = [*TRAITS, *sorted({name for frame in stack.frames for name in frame.traits} - {*TRAITS})]
     for name in names:
@@ -183,6 +203,32 @@ def _split(stack: Stack) -> list[Stack]:
             divided = (_part(stack, name, number, values, parts) for number in range(len(values)))
             return [small for part in divided for small in _split(part)]
     return _by_rank(stack, places) if crowded else [stack]
+
+
+def _without_equals(places: list[list[Frame]]) -> list[Frame]:
+    """The frames without those that are like another at their place in number, traits and pixels; empty: there are none."""
+    kept: list[Frame] = []
+    for place in places:
+        seen: dict[tuple, list[bytes]] = {}
+        for frame in place:
+            key = (frame.instance, frame.number, str(frame.traits), frame.rescale)
+            if sum((one.instance, one.number) == key[:2] for one in place) > 1:
+                pixels = _pixels(frame)
+                if pixels in seen.setdefault(key, []):
+                    continue
+                seen[key].append(pixels)
+            kept.append(frame)
+    return [] if len(kept) == sum(map(len, places)) else kept
+
+
+def _pixels(frame: Frame) -> bytes:
+    """What tells the pixels of a frame from others; by its name where they cannot be read."""
+    if frame.pixels is None:
+        return str(frame.path).encode("utf-8", "surrogateescape")
+    try:
+        return hashlib.sha256(values(frame, np.dtype(np.float64)).tobytes()).digest()
+    except InputError:
+        return str(frame.path).encode("utf-8", "surrogateescape")
 
 
 def _part(stack: Stack, name: str, number: int, values: list, parts: dict[Any, list[Frame]]) -> Stack:

@@ -67,4 +67,12 @@ def _linked(path: Path, folder: Path) -> str:
         (folder / name.split("/", 1)[0]).symlink_to(target)
     except OSError as error:
         raise InputError("the path is not UTF-8; rename it") from error
-    return str(folder / name)
+    return _checked(str(folder / name))
+
+
+def _checked(name: str) -> str:
+    try:
+        name.encode("utf-8")
+    except UnicodeEncodeError as error:
+        raise InputError("neither its path nor the folder for temporary files is UTF-8; rename one of them") from error
+    return name

@@ -133,6 +133,23 @@ def test_copies_of_the_same_instances_are_taken_once(tmp_path: Path) -> None:
     assert volume.notes == ("10 images were there twice (the same instance); one of each was taken",)
 
 
+def test_equal_images_under_other_names_are_taken_once(tmp_path: Path) -> None:
+    save_stack(tmp_path, A, HEIGHTS)
+    save(classic(A[4], HEIGHTS[4], 5), tmp_path / "again.dcm")
+    volume = read_volume(tmp_path)
+    np.testing.assert_array_equal(volume.array, A)
+    assert volume.notes == ("1 images were there twice under other names; one of each was taken",)
+
+
+def test_planes_and_pixels_are_named(tmp_path: Path) -> None:
+    save_stack(tmp_path, A, HEIGHTS)
+    for n in range(10):
+        axes, place = [0, 1, 0, 0, 0, -1], [3.0 * n, 0, 0]
+        ds = classic(B[n], 0, n + 1, ImageOrientationPatient=axes, ImagePositionPatient=place)
+        save(ds, tmp_path / f"s{n}.dcm")
+    is_either(tmp_path, "plane sagittal", second=B[::-1])
+
+
 def test_a_series_for_every_slice(tmp_path: Path) -> None:
     for n, plane in enumerate(A):
         save(classic(plane, HEIGHTS[n], n + 1, series=generate_uid()), tmp_path / f"{9 - n}.dcm")
