@@ -10,6 +10,9 @@ from ..errors import InputError
 _NAMED = 8  # volumes that a note names one by one
 
 
+MAX_VOLUMES = 100_000  # in one file; a header that says more is damaged
+
+
 @dataclass(frozen=True)
 class Choice:
     """A volume that could be read.
@@ -27,6 +30,17 @@ class Choice:
     def text(self) -> str:
         """Size and label."""
         return f"{self.label} ({' x '.join(map(str, self.size))})"
+
+
+def checked_count(count: int) -> int:
+    """The number of volumes of a file, if it is one that can be meant.
+
+    Raises:
+        InputError: it is not.
+    """
+    if not 1 <= count <= MAX_VOLUMES:
+        raise InputError(f"{count} volumes in one file; save one scalar volume of it in a file of its own")
+    return count
 
 
 def pick(choices: Sequence[Choice], number: int | None) -> int:

@@ -16,7 +16,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..volume import Volume
-from .choice import Choice, chosen_note, pick
+from .choice import Choice, checked_count, chosen_note, pick
 from .voxel_data import (
     IS_COLOR,
     IS_FLAT,
@@ -40,7 +40,6 @@ _META_TYPES = {
 
 _SAME_FORM = 0.01  # of a voxel's edge: sform and qform that differ by no more are one
 _UPRIGHT = 1e-4  # largest cosine between axes that ITK takes for a right angle
-_MAX_VOLUMES = 100_000
 
 
 def read_meta_image(path: Path, max_bytes: int, number: int | None = None) -> Volume:
@@ -233,10 +232,7 @@ def _nifti_count(image) -> int:
         raise InputError(IS_FLAT)
     if dtype.kind not in "iuf" or dtype.itemsize > 8:
         raise InputError(f"NIfTI type {dtype} is not an integer or float type of at most 64 bits")
-    count = math.prod(int(n) for n in shape[3:])
-    if not 1 <= count <= _MAX_VOLUMES:
-        raise InputError(f"{count} volumes in one file; save one scalar volume of it in a file of its own")
-    return count
+    return checked_count(math.prod(int(n) for n in shape[3:]))
 
 
 def nifti_array(image, size: int, path: Path, index: int | None = None) -> np.ndarray:

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..volume import Volume
-from .choice import Choice, chosen_note, pick
+from .choice import Choice, checked_count, chosen_note, pick
 from .voxel_data import IS_COLOR, IS_FLAT, IS_FOUR_D, MAX_HEADER, check_size, data_file, read_voxels, repaired, title
 
 _TYPES = {
@@ -218,7 +218,7 @@ def _volume_count(header: dict, spatial: list[int], other: list[int]) -> int:
         raise InputError(IS_COLOR)
     if len(spatial) != 3 or len(other) > 1:
         raise InputError(IS_FOUR_D)
-    return int(sizes[other[0]]) if other else 1
+    return checked_count(int(sizes[other[0]])) if other else 1
 
 
 def read_nrrd(path: Path, max_bytes: int, number: int | None = None) -> Volume:

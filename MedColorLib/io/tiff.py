@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError, MissingPackageError
+from .choice import checked_count
 from .grey import grey_of
 from .quiet import quiet_cv2
 from .voxel_data import IS_TRUNCATED, check_size
@@ -132,6 +133,7 @@ def _stacks(file, index: int, series) -> list[TiffStack]:
     spacing, source = _spacing(file, index, series)
     stacks = []
     others = [(axis, n) for axis, n in planes if axis != along]
+    checked_count(math.prod(n for _, n in others))
     strides = np.cumprod([1, *[n for _, n in planes][::-1]])[:-1][::-1]
     offset = {axis: int(stride) for (axis, _), stride in zip(planes, strides)}
     count = next((n for axis, n in planes if axis == along), 1)
