@@ -45,8 +45,9 @@ def check_size(shape: Sequence[int], dtype: np.dtype, max_bytes: int) -> int:
         raise InputError(f"the volume has no voxels ({sizes})")
     size = math.prod(int(n) for n in shape) * np.dtype(dtype).itemsize
     if size > max_bytes:
+        taken = f"{size / 2**30:.3g}" if size < 1 << 100 else "countless"
         raise InputError(
-            f"{sizes} voxels of {dtype} take {size / 2**30:.3g} GiB, more than the limit of {max_bytes / 2**30:.3g}; "
+            f"{sizes} voxels of {dtype} take {taken} GiB, more than the limit of {max_bytes / 2**30:.3g}; "
             "crop or resample the volume first"
         )
     return size
