@@ -14,7 +14,10 @@ import numpy as np
 
 from .errors import OutputError
 
-_PACKAGES = ("medcolor", "torch", "numpy", "scipy", "opencv-contrib-python-headless", "SimpleITK", "vtk", "safetensors")
+_PACKAGES = (
+    *("medcolor", "torch", "numpy", "scipy", "opencv-contrib-python-headless", "SimpleITK", "pydicom", "tifffile", "vtk"),
+    "safetensors",
+)
 
 
 def environment(device: str) -> dict:

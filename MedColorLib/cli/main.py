@@ -23,6 +23,9 @@ INTERRUPTED = "interrupted; nothing was written"
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")  # names of files that are not UTF-8, terminals that are ASCII
     arguments = make_parser().parse_args(argv)
     # Threads that wait give their core away: the pipeline's tests took 16 s instead of 52 s beside other programs.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
@@ -79,9 +82,8 @@ def _colorize(arguments) -> None:
     resume = Resume(max_bytes=_resume_bytes(arguments)) if arguments.resume else False
     if not arguments.plan:
         _check_outputs(arguments, check_output_path)
-    volume, guard = read_volume(arguments.input), guard_of(arguments)
-    for note in volume.notes:
-        print(f"medcolor: {volume.name}: {note}", file=sys.stderr)
+    volume, guard = read_volume(arguments.input, volume=arguments.number), guard_of(arguments)
+    _say_notes(volume)
     if arguments.plan:
         _print_plan(volume, arguments.reference, settings, resume, guard)
         return
@@ -106,6 +108,30 @@ def _colorize(arguments) -> None:
         f"{arguments.output}: {len(result.report['plan']['slices'])} slices with {result.report['plan']['features']} "
         f"features in {seconds:.1f} s. The colours are an illustration, not a measurement."
     )
+
+
+def _say_notes(volume) -> None:
+    """What the reader decided."""
+    for note in volume.notes:
+        print(f"medcolor: {volume.name}: {note}", file=sys.stderr)
+
+
+def _info(arguments) -> None:
+    from ..io.files import list_volumes
+
+    choices, notes = list_volumes(arguments.input)
+    rows = [("volume", "size", "spacing (mm)", "what")]
+    for number, choice in enumerate(choices, 1):
+        size = " x ".join(map(str, choice.size))
+        spacing = " x ".join(f"{step:.4g}" for step in choice.spacing_mm)
+        rows.append((str(number), size, spacing or "not known", choice.label))
+    widths = [max(map(len, column)) for column in zip(*rows)]
+    for row in rows:
+        print("  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths)).rstrip())
+    for note in notes:
+        print(note)
+    if len(choices) > 1:
+        print("Number 1 is read unless --volume N says otherwise.")
 
 
 def _batch(arguments) -> int:
@@ -153,7 +179,9 @@ def _render(arguments) -> None:
     from ..rendering import render_to_png
 
     color = read_color_volume(arguments.volume)
-    left = read_volume(arguments.grey) if arguments.grey else None
+    left = read_volume(arguments.grey, volume=arguments.number) if arguments.grey else None
+    if left:
+        _say_notes(left)
     if arguments.beside:
         left = read_color_volume(arguments.beside)
     titles = tuple(arguments.titles or ("Other" if arguments.beside else "Scan", "Coloured"))
@@ -165,7 +193,8 @@ def _recommend(arguments) -> None:
     from ..io.files import read_volume
     from ..matching.recommend import recommend
 
-    volume = read_volume(arguments.input)
+    volume = read_volume(arguments.input, volume=arguments.number)
+    _say_notes(volume)
     options = {"features": arguments.features, "device": arguments.device}
     with _Bar("describing") as bar:
         found = recommend(volume, arguments.library, arguments.top, arguments.slice, progress=bar, **options)
@@ -295,6 +324,7 @@ _RUN = {
     "demo": _demo,
     "colorize": _colorize,
     "batch": _batch,
+    "info": _info,
     "render": _render,
     "recommend": _recommend,
     "library_fetch": _library_fetch,

@@ -11,6 +11,7 @@ from .. import __version__
 from ..parameters import FEATURES, LUMINANCE, PRESETS, RECONSTRUCTIONS, SMOOTHERS, Settings
 from .guard_options import add_guard
 
+_WHICH = "which of several volumes (series, contrasts, time points), as `medcolor info` counts (default: the largest)"
 _KEPT = "interrupted; what is done is kept, the same command goes on from there"
 
 
@@ -32,6 +33,7 @@ def make_parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     _add_colorize(commands)
     _add_batch(commands)
+    _add_info(commands)
     _add_render(commands)
     _add_recommend(commands)
     _add_library(commands)
@@ -48,6 +50,7 @@ def _add_colorize(commands) -> None:
     add = command.add_argument
     add("input", metavar="INPUT", help="NRRD, MetaImage, NIfTI, DICOM folder, or folder of PNG/TIFF slices")
     add("-o", "--output", metavar="OUT", help="result: .nrrd or .nii.gz (not needed with --plan)")
+    add("--volume", dest="number", type=int, metavar="N", help=_WHICH)
     _add_settings(add)
     add(
         "--resume",
@@ -61,6 +64,12 @@ def _add_colorize(commands) -> None:
         "--confidence", type=Path, metavar="OUT2", help="write how far colours can be trusted, in per cent, as a volume"
     )
     command.set_defaults(run="colorize")
+
+
+def _add_info(commands) -> None:
+    command = commands.add_parser("info", help="the volumes in a file or folder: series, contrast, size, spacing")
+    command.add_argument("input", metavar="FOLDER_OR_FILE", help="anything that colorize reads")
+    command.set_defaults(run="info")
 
 
 def _add_batch(commands) -> None:
@@ -154,6 +163,7 @@ def _add_render(commands) -> None:
     command.add_argument("-o", "--output", type=Path, required=True, metavar="PNG")
     left = command.add_mutually_exclusive_group()
     left.add_argument("--grey", metavar="INPUT", help="the grey volume, to stand beside the colours")
+    command.add_argument("--volume", dest="number", type=int, metavar="N", help=f"of --grey: {_WHICH}")
     left.add_argument("--beside", metavar="VOLUME2", help="another coloured volume, to stand there instead")
     command.add_argument("--titles", nargs=2, metavar=("LEFT", "RIGHT"), help="above the two halves")
     command.add_argument("--size", nargs=2, type=int, default=(1600, 1200), metavar=("W", "H"))
@@ -163,6 +173,7 @@ def _add_render(commands) -> None:
 def _add_recommend(commands) -> None:
     command = commands.add_parser("recommend", help="references of a library that look most like a volume")
     command.add_argument("input", metavar="INPUT", help="the grey volume")
+    command.add_argument("--volume", dest="number", type=int, metavar="N", help=_WHICH)
     library = "folder of colour pictures, or a library's name"
     command.add_argument("--library", required=True, metavar="DIR", help=library)
     command.add_argument("--top", type=int, default=3, metavar="N", help="how many to name (default: %(default)s)")

@@ -83,6 +83,7 @@ class Outcome:
         volume, output: names relative to the two folders.
         state: "done", "skipped" (finished before), "failed" or "not reached" (the batch was interrupted).
         seconds: of the work; reason: of a failure, one line; resumed_slices: taken from an interrupted run.
+        notes: what the reader decided, such as which of several volumes it took.
     """
 
     volume: str
@@ -91,11 +92,13 @@ class Outcome:
     seconds: float = 0.0
     reason: str = ""
     resumed_slices: int = 0
+    notes: tuple[str, ...] = ()
 
     def text(self) -> str:
         """State, and seconds or reason."""
         resumed = f", {self.resumed_slices} slices from an interrupted run" if self.resumed_slices else ""
-        last = {"done": f"{self.seconds:.1f} s{resumed}", "skipped": "finished before"}
+        noted = f"; {'; '.join(self.notes)}" if self.notes else ""
+        last = {"done": f"{self.seconds:.1f} s{resumed}{noted}", "skipped": "finished before"}
         return f"{self.state:<7}  {last.get(self.state, self.reason)}"
 
 
@@ -263,7 +266,7 @@ def color_file(
     expected = {**task.expected, "input": input_sha256(task.source)}
     if is_finished(task, expected):
         return Outcome(task.name, task.result, "skipped")
-    volume = read_volume(task.source)
+    volume = read_volume(task.source, below=False)  # the folders in it are volumes of their own
     settings = Settings.from_dict(task.settings)
     colored = colorize(volume, list(task.references), settings, progress, cancelled, resume)
     output.parent.mkdir(parents=True, exist_ok=True)
@@ -273,7 +276,8 @@ def color_file(
     write_report(colored.report, task.report)
     forget_run(colored.report, resume)
     seconds = round(time.perf_counter() - started, 2)
-    return Outcome(task.name, task.result, "done", seconds, resumed_slices=colored.report["resumed_slices"])
+    resumed = colored.report["resumed_slices"]
+    return Outcome(task.name, task.result, "done", seconds, resumed_slices=resumed, notes=volume.notes)
 
 
 def is_finished(task: Task, expected: dict) -> bool:
@@ -290,15 +294,12 @@ def _is_volume(file: Path) -> bool:
     name = file.name.lower()
     if not name.endswith(TIFF_ENDINGS):
         return name.endswith(VOLUME_ENDINGS) and file.is_file()
-    import cv2
+    from ..io.tiff import tiff_stacks
 
-    from ..io.pictures import quiet_cv2
-
-    with quiet_cv2():
-        try:
-            return cv2.imcount(str(file)) > 1
-        except cv2.error:
-            return False
+    try:
+        return max(len(stack.pages) for stack in tiff_stacks(file)) > 1
+    except (InputError, OSError):
+        return False
 
 
 def _is_former_result(folder: Path) -> bool:

@@ -1,4 +1,8 @@
-"""DICOM in: the slices of one series, found by a pass over the headers alone, as a `Volume`.
+"""DICOM in: one volume of one contrast, acquisition and time point out of the files of a folder, as a `Volume`.
+
+`dicom_header` reads what the files say (pydicom), `dicom_volumes` finds the volumes among them, `dicom_grid` lays the slices
+where their positions are, `dicom_pixels` decodes. `dcm2niix` was tried instead: it stacks two acquisitions of one series in
+each other without a word, does not tell of gaps, and knows no mosaic without Siemens' private header.
 
 Reasons for everything that was decided or left out go into `Volume.notes`. Neither notes, names nor messages carry a
 patient's or study's data, and no file names (scanners put names of people into them): a slice is called by its number.
@@ -6,304 +10,152 @@ patient's or study's data, and no file names (scanners put names of people into 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from ..errors import InputError
 from ..volume import Volume
-from .voxel_data import LPS_TO_RAS, check_size, has_temporary_room, natural_key, temporarily_mapped
+from .choice import Choice, chosen_note, pick
+from .dicom_grid import Grid, grid_of, resampled
+from .dicom_header import DICOM_ENDINGS, Frame, is_dicom, quiet_pydicom, read_frames
+from .dicom_pixels import value_type, values
+from .dicom_volumes import Stack, find_stacks
+from .voxel_data import check_size, has_temporary_room, natural_key, temporarily_mapped
 
-DICOM_ENDINGS = (".dcm", ".dicom", ".ima")
-_SAME_DIRECTION = 1e-3  # distance of the direction cosines; headers round them to about 1e-6
-_SAME_SPACING = 1e-3  # relative
-_GAP = 1.5  # a step of more than this many median steps lacks a slice
+__all__ = ["DICOM_ENDINGS", "IN_MEMORY", "dicom_choices", "is_dicom", "read_dicom"]
 IN_MEMORY = 1 << 30  # bytes of voxels; a series of more is decoded into a temporary file
-_UNEVEN = 0.01  # relative deviation of a step that is worth a note
 
 
-@dataclass(frozen=True)
-class _Slice:
-    """What the header of one file says."""
+def read_dicom(files: Sequence[Path], max_bytes: int, wanted: Path | None = None, number: int | None = None) -> Volume:
+    """Read one scalar volume out of `files`: the largest, or that of the file `wanted`, or that of `number`.
 
-    path: Path
-    series: str  # SeriesInstanceUID
-    label: str
-    size: tuple[int, int, int]  # columns, rows, frames
-    dtype: np.dtype | None  # as decoded, rescale applied; None: colour
-    spacing_mm: tuple[float, float, float]  # along i, j; thickness along k
-    axes: tuple[float, ...]  # direction cosines of i, then of j
-    position_mm: tuple[float, ...]  # of the first pixel, LPS; empty: not given
-    instance: float
-    window: tuple[float, float] | None
-    window_count: int
-    inverted: bool  # MONOCHROME1
-    bits: float  # per stored number
-    ijk_to_ras: np.ndarray  # of this file alone
+    Positions along the normal order the slices; what does not lie on a regular upright grid is resampled to one. Rescale
+    slope and intercept are applied (CT: HU), of every frame its own.
 
-
-@contextmanager
-def _quiet_itk() -> Iterator[None]:
-    """Keep ITK's warnings off stderr: what matters of them is checked here and noted."""
-    import SimpleITK as sitk
-
-    shown = sitk.ProcessObject.GetGlobalWarningDisplay()
-    sitk.ProcessObject.SetGlobalWarningDisplay(False)
-    try:
-        yield
-    finally:
-        sitk.ProcessObject.SetGlobalWarningDisplay(shown)
-
-
-def _dtype(pixel_id: int) -> np.dtype | None:
-    """The numpy type of an ITK pixel type; None for vectors, complex numbers and labels."""
-    import SimpleITK as sitk
-
-    scalars = ("Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64", "Float32", "Float64")
-    return {getattr(sitk, f"sitk{name}"): np.dtype(name.lower()) for name in scalars}.get(pixel_id)
-
-
-def _matrix(image) -> np.ndarray:
-    """(4, 4) IJK to RAS of a three-dimensional ITK image, or of a reader that has read a header."""
-    matrix = np.eye(4)
-    matrix[:3, :3] = np.reshape(image.GetDirection(), (3, 3)) * image.GetSpacing()
-    matrix[:3, 3] = image.GetOrigin()
-    return LPS_TO_RAS @ matrix + 0.0  # + 0.0 turns -0.0 into 0.0
-
-
-def is_dicom(path: Path) -> bool:
-    """True for a file that is DICOM by its ending or its first bytes."""
-    if path.suffix.lower() in DICOM_ENDINGS:
-        return True
-    with path.open("rb") as file:
-        return file.read(132)[128:] == b"DICM"
-
-
-def read_dicom(files: Sequence[Path], max_bytes: int, wanted: Path | None = None) -> Volume:
-    """Read the largest scalar series among `files`, or the series of the file `wanted`.
-
-    Files of one series count as separate sets where orientation, size or pixel spacing differ. Positions along the
-    normal order the slices; rescale slope and intercept are applied (CT: HU) in the smallest type that GDCM gives.
+    Args:
+        number: as `dicom_choices` counts, from 1 on.
 
     Raises:
-        InputError: no readable image, only colour images, or more than `max_bytes` of voxels.
+        InputError: no readable image, only colour images, no such volume, a volume whose slices cannot be told from
+            others, or more than `max_bytes` of voxels.
     """
-    notes: list[str] = []
-    with _quiet_itk():
-        headers = [header for header in map(_header, sorted(files, key=natural_key)) if header]
-        if len(headers) < len(files):
-            notes.append(f"{len(files) - len(headers)} DICOM files without a readable image were left out")
-        chosen = _largest(headers, wanted, notes)
-        slices, ijk_to_ras = _placed(chosen, notes)
-        array = _pixels(slices, max_bytes, notes)
-    if slices[0].inverted:
-        notes.append("MONOCHROME1: larger values are meant to look darker; the values are kept as they are")
-    return Volume(array, ijk_to_ras, _window(slices, notes), slices[0].label, tuple(notes))
+    with quiet_pydicom():
+        stacks, notes = _found(files, wanted)
+        choices = [_choice(stack) for stack in stacks]
+        index = pick(choices, number)
+        stack = stacks[index]
+        notes += chosen_note(choices, index, number)
+        return _volume(stack, max_bytes, notes)
 
 
-def _header(path: Path) -> _Slice | None:
-    """The header of an image, or None for other objects and damaged files."""
-    import SimpleITK as sitk
-
-    reader = sitk.ImageFileReader()
-    reader.SetImageIO("GDCMImageIO")
-    reader.SetFileName(str(path))
-    try:
-        reader.ReadImageInformation()
-    except RuntimeError:
-        return None
-    if reader.GetDimension() != 3:
-        return None
-
-    def text(tag: str) -> str:
-        return reader.GetMetaData(tag).strip(" \0") if reader.HasMetaDataKey(tag) else ""
-
-    def numbers(tag: str) -> tuple[float, ...]:
-        try:
-            values = tuple(float(part) for part in text(tag).split("\\"))
-        except ValueError:
-            return ()
-        return values if all(map(math.isfinite, values)) else ()
-
-    direction = np.reshape(reader.GetDirection(), (3, 3))
-    spacing = numbers("0028|0030")[::-1]  # the header has the distance of rows first
-    axes, position = numbers("0020|0037"), numbers("0020|0032")
-    centers, widths = numbers("0028|1050"), numbers("0028|1051")
-    return _Slice(
-        path,
-        text("0020|000e"),
-        f"{text('0008|0060') or 'DICOM'} series {text('0020|0011')}".rstrip(),
-        reader.GetSize(),
-        _dtype(reader.GetPixelIDValue()),
-        (*(spacing if len(spacing) == 2 and min(spacing) > 0 else reader.GetSpacing()[:2]), reader.GetSpacing()[2]),
-        axes if len(axes) == 6 else (*direction[:, 0], *direction[:, 1]),
-        position if len(position) == 3 else (),
-        (numbers("0020|0013") or (0.0,))[0],
-        _first_window(centers, widths),
-        len(centers),
-        text("0028|0004") == "MONOCHROME1",
-        (numbers("0028|0100") or (16.0,))[0],
-        _matrix(reader),
-    )
+def dicom_choices(files: Sequence[Path], wanted: Path | None = None) -> tuple[list[Choice], list[str]]:
+    """What there is to choose from, in the order in which `read_dicom` counts, and notes on what is left out."""
+    with quiet_pydicom():
+        stacks, notes = _found(files, wanted)
+        return [_choice(stack) for stack in stacks], notes
 
 
-def _first_window(centers: tuple[float, ...], widths: tuple[float, ...]) -> tuple[float, float] | None:
-    if not centers or not widths or widths[0] <= 0:
-        return None
-    return centers[0] - widths[0] / 2, centers[0] + widths[0] / 2
-
-
-def _same_grid(a: _Slice, b: _Slice) -> bool:
-    closest = min(*a.spacing_mm[:2], *b.spacing_mm[:2])
-    return (
-        math.dist(a.axes, b.axes) < _SAME_DIRECTION
-        and math.dist(a.spacing_mm[:2], b.spacing_mm[:2]) <= _SAME_SPACING * closest
-    )
-
-
-def _grouped(headers: Sequence[_Slice]) -> list[list[_Slice]]:
-    """Sets of slices that can be stacked. A multi-frame file is a set of its own."""
-    groups: dict[tuple, list[list[_Slice]]] = {}
-    for header in headers:
-        alone = header.path if header.size[2] > 1 else None
-        sets = groups.setdefault((header.series, header.size, header.dtype is None, alone), [])
-        for members in sets:
-            if _same_grid(members[0], header):
-                members.append(header)
-                break
-        else:
-            sets.append([header])
-    return [members for sets in groups.values() for members in sets]
-
-
-def _largest(headers: list[_Slice], wanted: Path | None, notes: list[str]) -> list[_Slice]:
-    groups = _grouped(headers)
+def _found(files: Sequence[Path], wanted: Path | None) -> tuple[list[Stack], list[str]]:
+    """The scalar volumes, the largest first."""
+    frames: list[Frame] = []
+    unread = 0
+    for file in sorted(files, key=natural_key):
+        found = read_frames(file)
+        frames += found
+        unread += not found
+    notes = [f"{unread} DICOM files without a readable image were left out"] if unread else []
+    stacks = find_stacks(frames)
     if wanted is not None:
-        groups = [members for members in groups if any(member.path == wanted for member in members)]
-    if not groups:
+        stacks = [stack for stack in stacks if any(frame.path == wanted for frame in stack.frames)]
+    if not stacks:
         raise InputError("no readable DICOM image; export the series again (reports are no images)")
-    scalar = [members for members in groups if members[0].dtype is not None]
+    scalar = [stack for stack in stacks if stack.frames[0].pixels is not None]
     if not scalar:
         raise InputError("the DICOM images are in colour; a colour image can only be a reference, give a scalar series")
-    chosen = max(scalar, key=lambda members: (len(members) * members[0].size[2], math.prod(members[0].size)))
-    series = {header.series for header in headers}
-    if len(series) > 1:
-        why = "the largest" if wanted is None else "the one of the given file"
-        slices = len(chosen) * chosen[0].size[2]
-        notes.append(f"{chosen[0].label} with {slices} slices was picked, {why} of {len(series)} series")
-    others = sum(header.series == chosen[0].series for header in headers) - len(chosen)
-    if others:
-        notes.append(f"{others} images of the series were left out: another orientation, size, pixel spacing or colour")
-    return chosen
+    colored = sum(len(stack.frames) for stack in stacks) - sum(len(stack.frames) for stack in scalar)
+    if colored:
+        notes.append(f"{colored} colour images were left out")
+    return scalar, notes
 
 
-def _placed(members: list[_Slice], notes: list[str]) -> tuple[list[_Slice], np.ndarray]:
-    """The slices in order along the normal, duplicates dropped, and the (4, 4) IJK-to-RAS matrix."""
-    if members[0].size[2] > 1:
-        notes.append("a multi-frame file: the frames are taken to be equidistant, as its header says")
-        return members, members[0].ijk_to_ras
-    if not all(member.position_mm for member in members):
-        notes.append("slices without a position: ordered by their number, distance from the slice thickness")
-        members = sorted(members, key=lambda member: member.instance)
-        return members, members[0].ijk_to_ras
-    first = members[0]
-    axes = np.reshape(first.axes, (2, 3))
-    normal = np.cross(*axes)
-    normal /= np.linalg.norm(normal) or 1.0
-    tolerance = 0.01 * min(first.spacing_mm[:2])
-    heights = {id(member): float(np.dot(member.position_mm, normal)) for member in members}
-    members = sorted(members, key=lambda m: (round(heights[id(m)] / tolerance), m.instance))
-    kept = members[:1]
-    for member in members[1:]:
-        if heights[id(member)] - heights[id(kept[-1])] > tolerance:
-            kept.append(member)
-    if len(kept) < len(members):
-        notes.append(
-            f"{len(members) - len(kept)} slices at a position already taken were left out (the lowest number was kept)"
+def _choice(stack: Stack) -> Choice:
+    try:
+        spacing = tuple(np.linalg.norm(grid_of(stack.frames).ijk_to_ras[:3, :3], axis=0).tolist())
+    except InputError:
+        spacing = ()
+    return Choice(stack.label, stack.size, spacing)
+
+
+def _volume(stack: Stack, max_bytes: int, notes: list[str]) -> Volume:
+    frames = stack.frames
+    notes += stack.notes
+    if stack.untold:
+        raise InputError(
+            "several images lie at each place and nothing in their headers tells them apart; export the series again, or "
+            "put the files of one volume into a folder of their own"
         )
-    height = np.array([heights[id(member)] for member in kept])
-    positions = np.array([member.position_mm for member in kept])
-    matrix = np.eye(4)
-    matrix[:3, :2] = axes.T * first.spacing_mm[:2]
-    matrix[:3, 2] = _step(height, positions, normal, first, notes)
-    matrix[:3, 3] = positions[0]
-    return kept, LPS_TO_RAS @ matrix + 0.0
-
-
-def _step(height: np.ndarray, positions: np.ndarray, normal: np.ndarray, first: _Slice, notes: list[str]) -> np.ndarray:
-    """(3,) vector from slice to slice in LPS millimetres. Not along the normal where the gantry was tilted."""
-    if len(height) == 1:
-        return normal * (first.spacing_mm[2] or 1.0)
-    steps = np.diff(height)
-    median = float(np.median(steps))
-    gaps = np.flatnonzero(steps > _GAP * median)
-    if len(gaps):
-        shown = ", ".join(f"{steps[n]:.4g} mm after {height[n]:.4g} mm" for n in gaps[:5]) + ", ..." * (len(gaps) > 5)
-        notes.append(
-            f"{len(gaps)} gaps between slices, where {median:.4g} mm is usual: {shown}; "
-            "what lies beyond a gap is drawn too close"
+    if frames[0].tiles == 0:
+        raise InputError(
+            "slices as tiles of one picture (a Siemens mosaic), and the header does not say how many; convert it with dcm2niix"
         )
-    even = steps[steps <= _GAP * median]
-    if np.ptp(even) > _UNEVEN * median:
-        notes.append(f"slices {even.min():.4g} to {even.max():.4g} mm apart; the median of {median:.4g} mm is used")
-    uniform = not len(gaps) and np.ptp(even) <= _UNEVEN * median
-    per_mm = (positions[-1] - positions[0]) / (height[-1] - height[0])
-    tilt = math.degrees(math.acos(min(1.0, 1.0 / float(np.linalg.norm(per_mm)))))
-    if tilt > 0.1:
-        notes.append(f"gantry tilt of {tilt:.1f} degrees; the sheared geometry is kept")
-    off_line = np.linalg.norm(positions - positions[0] - np.outer(height - height[0], per_mm), axis=1).max()
-    if off_line > 0.5 * min(first.spacing_mm[:2]):
-        notes.append(f"slices are shifted sideways by up to {off_line:.3g} mm; this is not corrected")
-    # Even steps: end to end, so that the rounding of single positions does not add up over the stack.
-    return per_mm * (float(height[-1] - height[0]) / (len(height) - 1) if uniform else median)
+    if frames[0].tiles > 1:
+        notes.append(f"a Siemens mosaic: {len(frames)} slices were cut out of one picture")
+    grid = grid_of(frames)
+    notes += grid.notes
+    array = _pixels(frames, grid, max_bytes, notes)
+    window = _window(frames, notes)
+    return Volume(array, grid.ijk_to_ras, window, stack.label, tuple(notes))
 
 
-def _pixels(slices: list[_Slice], max_bytes: int, notes: list[str]) -> np.ndarray:
+def _pixels(frames: Sequence[Frame], grid: Grid, max_bytes: int, notes: list[str]) -> np.ndarray:
     """The voxels, in memory, or, where they are many and the disk has room, in a temporary file that is mapped."""
-    columns, rows, frames = slices[0].size
-    dtype = np.result_type(*(member.dtype for member in slices))  # rescale may differ from slice to slice (PET)
-    if dtype == np.float64 and all(member.bits <= 16 for member in slices):
-        dtype = np.dtype(np.float32)  # holds scaled 16-bit numbers to 6e-8
-    shape = (len(slices) * frames, rows, columns)
-    if check_size(shape, dtype, max_bytes) > IN_MEMORY and has_temporary_room(shape, dtype):
+    dtype = value_type(frames)
+    planes = _planes(frames, grid, dtype)
+    if check_size(grid.shape, dtype, max_bytes) > IN_MEMORY and has_temporary_room(grid.shape, dtype):
         notes.append(
             f"more than {IN_MEMORY / 2**30:g} GiB: the decoded slices are in a nameless temporary file, not in memory"
         )
-        return temporarily_mapped((plane for decoded in _decoded(slices) for plane in decoded), shape, dtype)
-    array = np.empty(shape, dtype)
-    for number, decoded in enumerate(_decoded(slices)):
-        array[number * frames : (number + 1) * frames] = decoded
+        return temporarily_mapped(planes, grid.shape, dtype)
+    array = np.empty(grid.shape, dtype)
+    for number, plane in enumerate(planes):
+        array[number] = plane
     return array
 
 
-def _decoded(slices: list[_Slice]) -> Iterator[np.ndarray]:
-    """(frames, rows, columns) of one file after the other."""
-    import SimpleITK as sitk
-
-    reader = sitk.ImageFileReader()
-    reader.SetImageIO("GDCMImageIO")
-    for member in slices:
-        reader.SetFileName(str(member.path))
-        try:
-            decoded = sitk.GetArrayFromImage(reader.Execute())
-        except RuntimeError as error:
-            raise InputError(f"DICOM slice {member.instance:g} cannot be decoded; export the series again") from error
-        if decoded.shape[::-1] != tuple(member.size):
-            raise InputError(f"DICOM slice {member.instance:g} is not as large as its header says; export it again")
-        yield decoded
+def _planes(frames: Sequence[Frame], grid: Grid, dtype: np.dtype) -> Iterator[np.ndarray]:
+    if grid.wanted_mm is None:
+        return (values(frame, dtype) for frame in frames)
+    return resampled(grid, lambda number: values(frames[number], dtype), dtype)
 
 
-def _window(slices: list[_Slice], notes: list[str]) -> tuple[float, float] | None:
-    windows = [member.window for member in slices if member.window]
+def _window(frames: Sequence[Frame], notes: list[str]) -> tuple[float, float] | None:
+    """The window that the header proposes, in the units of the values; turned with MONOCHROME1."""
+    turned = [frame for frame in frames if frame.pixels and frame.pixels.inverted]
+    if turned:
+        low, high = turned[0].pixels.limits
+        rest = "" if any(frame.window is None for frame in frames) else ", and the window with them"
+        notes.append(
+            f"MONOCHROME1: larger stored numbers are meant to look darker; they were turned round ({low + high} minus the "
+            f"number){rest}"
+        )
+    windows = [_turned(frame) for frame in frames if frame.window]
     if not windows:
         return None
-    if any(member.window_count > 1 for member in slices):
+    if any(frame.windows > 1 for frame in frames):
         notes.append("several windows in the header; the first is used")
     if len(set(windows)) > 1:
         notes.append("the window differs from slice to slice; the median is used")
     low, high = np.median(windows, axis=0)
     return float(low), float(high)
+
+
+def _turned(frame: Frame) -> tuple[float, float]:
+    assert frame.window and frame.pixels
+    low, high = frame.window
+    if not frame.pixels.inverted:
+        return low, high
+    slope, intercept = frame.rescale
+    both = slope * sum(frame.pixels.limits) + 2 * intercept
+    return both - high, both - low

@@ -14,16 +14,27 @@ import tempfile
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from ..errors import InputError, OutputError
 from ..volume import ColorVolume, Volume
-from .dicom import DICOM_ENDINGS, is_dicom, read_dicom
-from .metaimage_nifti import load_nifti, meta_fields, nifti_array, nifti_matrix, read_meta_image, read_nifti
-from .nrrd import nrrd_array, nrrd_axes, nrrd_header, nrrd_matrix, read_nrrd
-from .pictures import PICTURE_ENDINGS, read_picture_folder, read_tiff
+from .choice import Choice
+from .dicom import DICOM_ENDINGS, dicom_choices, is_dicom, read_dicom
+from .folders import FolderContents, files_below, files_in, look_into
+from .metaimage_nifti import (
+    load_nifti,
+    meta_fields,
+    nifti_array,
+    nifti_choices,
+    nifti_matrix,
+    read_meta_image,
+    read_nifti,
+)
+from .nrrd import nrrd_array, nrrd_axes, nrrd_choices, nrrd_header, nrrd_matrix, read_nrrd
+from .pictures import folder_choices, read_picture_folder, read_tiff, tiff_choices
 from .voxel_data import IS_FLAT, LPS_TO_RAS, check_size, data_file, title
 
 MAX_BYTES = 16 * 2**30
@@ -33,25 +44,59 @@ _NIFTI_MAX = 32767
 _ORTHONORMAL = 1e-6  # largest cosine between axes that a NIfTI qform may drop
 
 
-def read_volume(path: str | os.PathLike, *, max_bytes: int = MAX_BYTES) -> Volume:
+def read_volume(
+    path: str | os.PathLike, *, max_bytes: int = MAX_BYTES, volume: int | None = None, below: bool = True
+) -> Volume:
     """Read a scalar volume in its own type and geometry.
 
     Args:
         path: NRRD (.nrrd, .nhdr), MetaImage (.mha, .mhd), NIfTI (.nii, .nii.gz), multi-page TIFF, a DICOM folder (its
-            largest series), one DICOM file (the series of that file in its folder), or a folder of PNG or TIFF slices.
+            largest volume, of one series, contrast, acquisition and time point), one DICOM file (the volume of that file
+            in its folder), or a folder of PNG or TIFF slices.
         max_bytes: refuse more voxels than this before taking memory for them.
+        volume: where there are several, the number of one of them, as `list_volumes` counts, from 1 on.
+        below: of a DICOM folder, whether to look into the folders in it.
 
     Returns:
         `Volume`, (k, j, i), DICOM and NIfTI rescale applied. The array is native and in memory, or, of an uncompressed
-        NRRD or MetaImage, the file itself: read-only, mapped, in the file's byte order (see `voxel_data.read_voxels`).
+        NRRD, MetaImage or NIfTI, the file itself: read-only, mapped, in the file's byte order (NIfTI: where that is the
+        machine's; see `voxel_data.read_voxels`).
 
     Raises:
-        InputError: missing, unreadable, truncated, not an image, colour, not three-dimensional, or too large.
+        InputError: missing, unreadable, truncated, not an image, colour, not three-dimensional, too large, or no such
+            volume.
+        MissingPackageError: the format needs a package that is not here.
+    """
+    with _input_errors(path) as source:
+        if not source.is_dir():
+            return _reader(source)(source, max_bytes, volume)
+        found = _look_into(source, below)
+        read = read_dicom if found.kind == "dicom" else read_picture_folder
+        read_one = read(found.files, max_bytes, number=volume)
+        return replace(read_one, notes=(*found.notes, *read_one.notes)) if found.notes else read_one
+
+
+def list_volumes(path: str | os.PathLike) -> tuple[list[Choice], tuple[str, ...]]:
+    """The volumes of a file or folder in the order in which `read_volume` counts, and notes on what is none.
+
+    Raises:
+        InputError: as `read_volume`.
     """
     with _input_errors(path) as source:
         if source.is_dir():
-            return _read_folder(source, max_bytes)
-        return _reader(source)(source, max_bytes)
+            found = _look_into(source)
+            if found.kind == "pictures":
+                return folder_choices(found.files), found.notes
+            choices, notes = dicom_choices(found.files)
+            return choices, (*found.notes, *notes)
+        reader = _reader(source)
+        if reader is _read_single_dicom:
+            choices, notes = dicom_choices(_dicom_beside(source), source)
+            return choices, tuple(notes)
+        if reader in _CHOICES:
+            return _CHOICES[reader](source), ()
+        volume = reader(source, MAX_BYTES, None)
+        return [Choice(volume.name, volume.array.shape[::-1], tuple(volume.spacing_mm.tolist()))], volume.notes
 
 
 def read_color_volume(path: str | os.PathLike, *, max_bytes: int = MAX_BYTES) -> ColorVolume:
@@ -150,7 +195,7 @@ def file_sha256(path: str | os.PathLike) -> str:
         if not source.is_dir():
             return _digest(source).hex()
         total = hashlib.sha256()
-        for file in sorted(_tree(source), key=lambda file: file.relative_to(source).as_posix()):
+        for file in sorted(files_below(source), key=lambda file: file.relative_to(source).as_posix()):
             total.update(_digest(file))
         return total.hexdigest()
 
@@ -164,7 +209,7 @@ def input_sha256(path: str | os.PathLike) -> str:
         InputError: missing, unreadable, or a header without its data.
     """
     with _input_errors(path) as source:
-        files = sorted(_files(source)) if source.is_dir() else [source, *_detached(source)]
+        files = sorted(files_in(source)) if source.is_dir() else [source, *_detached(source)]
         return hashlib.sha256(b"".join(_digest(file) for file in files)).hexdigest()
 
 
@@ -193,7 +238,8 @@ def _input_errors(path: str | os.PathLike) -> Iterator[Path]:
     try:
         if not path.exists():
             raise InputError("does not exist; check the spelling")
-        yield path
+        with np.errstate(all="ignore"):  # numbers of damaged headers overflow; `Volume` refuses what comes of it
+            yield _medium(path)
     except InputError as error:
         raise InputError(f"{path}: {' '.join(str(error).split())}") from error  # libraries break lines
     except OSError as error:
@@ -206,15 +252,24 @@ def _ending(path: Path, endings: Iterable[str]) -> str | None:
     return next((ending for ending in endings if path.name.lower().endswith(ending)), None)
 
 
-def _read_single_dicom(path: Path, max_bytes: int) -> Volume:
-    return read_dicom([file for file in _files(path.parent) if is_dicom(file)], max_bytes, wanted=path)
+def _medium(path: Path) -> Path:
+    """The folder of a DICOM medium where its directory file is given: that holds no image itself."""
+    return path.parent if path.name.upper() == "DICOMDIR" and path.is_file() else path
 
 
-def _refuse_picture(path: Path, max_bytes: int) -> Volume:
+def _dicom_beside(path: Path) -> list[Path]:
+    return [file for file in files_in(path.parent) if is_dicom(file)]
+
+
+def _read_single_dicom(path: Path, max_bytes: int, number: int | None) -> Volume:
+    return read_dicom(_dicom_beside(path), max_bytes, wanted=path, number=number)
+
+
+def _refuse_picture(path: Path, max_bytes: int, number: int | None) -> Volume:
     raise InputError(IS_FLAT)
 
 
-_READERS: dict[str, Callable[[Path, int], Volume]] = {
+_READERS: dict[str, Callable[[Path, int, int | None], Volume]] = {
     **dict.fromkeys((".nrrd", ".nhdr"), read_nrrd),
     **dict.fromkeys((".mha", ".mhd"), read_meta_image),
     **dict.fromkeys((".nii", ".nii.gz"), read_nifti),
@@ -222,9 +277,10 @@ _READERS: dict[str, Callable[[Path, int], Volume]] = {
     **dict.fromkeys(DICOM_ENDINGS, _read_single_dicom),
     **dict.fromkeys((".png", ".jpg", ".jpeg", ".bmp"), _refuse_picture),
 }
+_CHOICES = {read_nrrd: nrrd_choices, read_nifti: nifti_choices, read_tiff: tiff_choices}
 
 
-def _reader(path: Path) -> Callable[[Path, int], Volume]:
+def _reader(path: Path) -> Callable[[Path, int, int | None], Volume]:
     if not path.is_file():
         raise InputError("neither a file nor a folder")
     if not path.stat().st_size:
@@ -237,28 +293,12 @@ def _reader(path: Path) -> Callable[[Path, int], Volume]:
     raise InputError(f"not a known image file; the endings are {', '.join(_READERS)}, or give a folder of slices")
 
 
-def _files(folder: Path) -> list[Path]:
-    return [file for file in folder.iterdir() if file.is_file() and not file.name.startswith(".")]
-
-
-def _tree(folder: Path) -> Iterator[Path]:
-    for parent, _, names in os.walk(folder):
-        yield from (Path(parent, name) for name in names if not name.startswith(".") and Path(parent, name).is_file())
-
-
-def _read_folder(folder: Path, max_bytes: int) -> Volume:
-    """DICOM slices in the folder itself, else pictures there, else DICOM slices below it (as on a DICOM medium)."""
-    files = _files(folder)
-    dicom = [file for file in files if is_dicom(file)]
-    pictures = [file for file in files if file.suffix.lower() in PICTURE_ENDINGS]
-    if dicom or not pictures:
-        dicom = dicom or [file for file in _tree(folder) if is_dicom(file)]
-    if dicom:
-        return read_dicom(dicom, max_bytes)
-    if pictures:
-        return read_picture_folder(pictures, max_bytes)
-    hint = "; give one of its files" if any(_ending(file, _READERS) for file in files) else ""
-    raise InputError(f"the folder holds neither DICOM slices nor PNG or TIFF slices{hint}")
+def _look_into(folder: Path, below: bool = True) -> FolderContents:
+    try:
+        return look_into(folder, below)
+    except InputError as error:
+        hint = "; give one of its files" if any(_ending(file, _READERS) for file in files_in(folder)) else ""
+        raise InputError(f"{error}{hint}") from error
 
 
 def _read_color_nrrd(path: Path, max_bytes: int) -> ColorVolume:

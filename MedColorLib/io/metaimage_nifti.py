@@ -6,6 +6,7 @@ memory held, and damaged headers crash it.
 
 from __future__ import annotations
 
+import math
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,6 +16,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..volume import Volume
+from .choice import Choice, checked_count, chosen_note, pick
 from .voxel_data import (
     IS_COLOR,
     IS_FLAT,
@@ -26,6 +28,7 @@ from .voxel_data import (
     check_size,
     data_file,
     read_voxels,
+    repaired,
     title,
 )
 
@@ -35,14 +38,21 @@ _META_TYPES = {
     **{"MET_FLOAT": "f4", "MET_DOUBLE": "f8"},
 }
 
+_SAME_FORM = 0.01  # of a voxel's edge: sform and qform that differ by no more are one
+_UPRIGHT = 1e-4  # largest cosine between axes that ITK takes for a right angle
 
-def read_meta_image(path: Path, max_bytes: int) -> Volume:
-    """A scalar MetaImage with three axes; voxels attached or detached, raw, zlib or text."""
+
+def read_meta_image(path: Path, max_bytes: int, number: int | None = None) -> Volume:
+    """A scalar MetaImage with three axes; voxels attached or detached, raw, zlib or text. It is one volume, number 1."""
+    pick([Choice(title(path), ())], number)
     fields, end = meta_fields(path)
     try:
         shape = tuple(int(size) for size in reversed(fields["DimSize"].split()))
+        axes = len(shape)
         channels, skip = int(fields.get("ElementNumberOfChannels", 1)), int(fields.get("HeaderSize", 0))
-        matrix = _meta_matrix(fields) if len(shape) == 3 else LPS_TO_RAS
+        while len(shape) > 3 and shape[0] == 1:
+            shape = shape[1:]  # a fourth axis of length one
+        matrix = _meta_matrix(fields, axes) if len(shape) == 3 else LPS_TO_RAS
     except ValueError as error:
         raise InputError(f"not a valid MetaImage header ({error})") from error
     kind = fields["ElementType"].removesuffix("_ARRAY")
@@ -60,8 +70,13 @@ def read_meta_image(path: Path, max_bytes: int) -> Volume:
     )
     attached = fields["ElementDataFile"].upper() == "LOCAL"
     source, start = (path, end) if attached else (data_file(path, fields["ElementDataFile"]), 0)
+    notes: list[str] = []
+    scale = {"um": 1e-3, "cm": 10.0, "m": 1e3}.get(fields.get("DistanceUnits", "mm"), 1.0)
+    if scale != 1.0:
+        notes.append(f"the MetaImage header's unit is not millimetres; the geometry was multiplied by {scale:g}")
+    matrix = repaired(np.diag([scale, scale, scale, 1.0]) @ matrix, shape, notes)
     array = read_voxels(source, start, shape, dtype.newbyteorder(">" if big_endian else "<"), encoding, skip=skip)
-    return Volume(array, matrix, name=title(path))
+    return Volume(array, matrix, name=title(path), notes=tuple(notes))
 
 
 def meta_fields(path: Path) -> tuple[dict[str, str], int]:
@@ -80,8 +95,8 @@ def meta_fields(path: Path) -> tuple[dict[str, str], int]:
         return fields, file.tell()
 
 
-def _meta_matrix(fields: dict[str, str]) -> np.ndarray:
-    """(4, 4) IJK to RAS. The header holds LPS; each row of its TransformMatrix is the direction of one axis."""
+def _meta_matrix(fields: dict[str, str], axes: int) -> np.ndarray:
+    """(4, 4) IJK to RAS of the first three of `axes`. The header holds LPS; a row of its matrix is an axis' direction."""
 
     def numbers(count: int, default: np.ndarray, *names: str) -> np.ndarray:
         values = next((np.array(fields[name].split(), dtype=float) for name in names if name in fields), default)
@@ -90,9 +105,10 @@ def _meta_matrix(fields: dict[str, str]) -> np.ndarray:
         return values
 
     matrix = np.eye(4)
-    spacing = numbers(3, np.ones(3), "ElementSpacing", "ElementSize")
-    matrix[:3, :3] = numbers(9, np.eye(3), "TransformMatrix", "Rotation", "Orientation").reshape(3, 3).T * spacing
-    matrix[:3, 3] = numbers(3, np.zeros(3), "Offset", "Position", "Origin")
+    spacing = numbers(axes, np.ones(axes), "ElementSpacing", "ElementSize")[:3]
+    turns = numbers(axes * axes, np.eye(axes), "TransformMatrix", "Rotation", "Orientation").reshape(axes, axes)
+    matrix[:3, :3] = turns[:3, :3].T * spacing
+    matrix[:3, 3] = numbers(axes, np.zeros(axes), "Offset", "Position", "Origin")[:3]
     return LPS_TO_RAS @ matrix + 0.0  # + 0.0 turns -0.0 into 0.0
 
 
@@ -121,8 +137,10 @@ def load_nifti(path: Path):
 
     try:
         with _quiet_nibabel():
-            image = nib.load(path, mmap=False)
-    except (nib.filebasedimages.ImageFileError, nib.spatialimages.HeaderDataError, EOFError, zlib.error) as error:
+            image = nib.load(path, mmap="r")
+    except (OSError, MemoryError):
+        raise
+    except Exception as error:  # nibabel raises whatever a damaged header makes its parts raise
         raise InputError(f"not a readable NIfTI ({error})") from error
     if not isinstance(image, nib.Nifti1Image):
         raise InputError(f"holds a {type(image).__name__}, not a NIfTI; save it as NIfTI or NRRD")
@@ -130,47 +148,110 @@ def load_nifti(path: Path):
 
 
 def nifti_matrix(image, notes: list[str]) -> np.ndarray:
-    """(4, 4) IJK to RAS in millimetres: sform, else qform, else the size of the voxels alone."""
+    """(4, 4) IJK to RAS in millimetres: sform or qform, the one that ITK takes; else the size of the voxels alone."""
     matrix = np.array(image.affine, dtype=np.float64)
-    if not image.header["sform_code"] and not image.header["qform_code"]:
+    sform_code, qform_code = int(image.header["sform_code"]), int(image.header["qform_code"])
+    if not sform_code and not qform_code:
         notes.append("the NIfTI header has no orientation; axes are taken as left, anterior, superior")
+    if sform_code and qform_code:
+        matrix = _as_itk_takes_it(matrix, sform_code, image, notes)
     scale = {1: 1e3, 3: 1e-3}.get(int(image.header["xyzt_units"]) & 7, 1.0)  # metre, micrometre
     if scale != 1.0:
         notes.append(f"the NIfTI header's unit is not millimetres; the geometry was multiplied by {scale:g}")
         matrix[:3] *= scale
-    return matrix
+    return repaired(matrix, (*image.shape, 1, 1, 1)[2::-1], notes)
 
 
-def read_nifti(path: Path, max_bytes: int) -> Volume:
-    """A scalar NIfTI-1 or -2 with three axes; a fourth of length one is dropped."""
+def _as_itk_takes_it(sform: np.ndarray, code: int, image, notes: list[str]) -> np.ndarray:
+    """Of two orientations that differ ITK 5.4, and so 3D Slicer, takes the sform only if it is the scanner's and upright."""
+    import nibabel as nib
+
+    try:
+        qform = np.array(image.header.get_qform(), dtype=np.float64)
+    except (nib.spatialimages.HeaderDataError, ValueError):
+        notes.append("the qform of the NIfTI header is damaged; the sform is used")
+        return sform
+    corners = np.array(list(np.ndindex(2, 2, 2))) * (np.array(image.shape[:3]) - 1)
+    apart = np.linalg.norm(corners @ (sform - qform)[:3, :3].T + (sform - qform)[:3, 3], axis=1).max()
+    edges = np.linalg.norm(sform[:3, :3], axis=0)
+    if not apart > _SAME_FORM * edges.min():
+        return sform
+    axes = sform[:3, :3] / np.maximum(edges, 1e-300)
+    upright = np.abs(axes.T @ axes - np.eye(3)).max() < _UPRIGHT
+    taken, other = ("sform", "qform") if code == 1 and upright else ("qform", "sform")
+    turn = _turn_degrees(sform, qform)
+    notes.append(
+        f"sform and qform of the NIfTI header differ by up to {apart:.3g} mm{turn}: the {taken} is used, as ITK and 3D Slicer "
+        f"do, the {other} is not"
+    )
+    return sform if taken == "sform" else qform
+
+
+def _turn_degrees(a: np.ndarray, b: np.ndarray) -> str:
+    """Words on the angle between two orientations, where there is one."""
+    one, other = (m[:3, :3] / np.maximum(np.linalg.norm(m[:3, :3], axis=0), 1e-300) for m in (a, b))
+    angle = np.degrees(np.arccos(np.clip((np.trace(one.T @ other) - 1) / 2, -1, 1)))
+    return f" and {angle:.3g} degrees" if angle > 0.1 else ""
+
+
+def read_nifti(path: Path, max_bytes: int, number: int | None = None) -> Volume:
+    """A scalar NIfTI-1 or -2 with three axes; of more (time points) the volume with that number, from 1 on."""
     image = load_nifti(path)
+    dtype, count = image.get_data_dtype(), _nifti_count(image)
+    if count > 1 and number is None:
+        raise InputError(f"{IS_FOUR_D} ({count} volumes)")
+    notes: list[str] = []
+    choices = nifti_choices(path, image)
+    index = pick(choices, number)
+    notes += chosen_note(choices, index, number)
+    matrix = nifti_matrix(image, notes)
+    shape = image.shape[:3]
+    array = nifti_array(image, check_size(shape, dtype, max_bytes), path, index if count > 1 else None)
+    return Volume(array.reshape(shape[::-1]), matrix, name=title(path), notes=tuple(notes))
+
+
+def nifti_choices(path: Path, image=None) -> list[Choice]:
+    """What there is to choose from: one volume, or one for each point of the axes after the third."""
+    image = image or load_nifti(path)
+    count = _nifti_count(image)
+    shape = image.shape[:3]
+    spacing = tuple(np.linalg.norm(nifti_matrix(image, [])[:3, :3], axis=0).tolist())
+    return [Choice(f"time point {n + 1}" if count > 1 else title(path), shape, spacing) for n in range(count)]
+
+
+def _nifti_count(image) -> int:
+    """Volumes of a file.
+
+    Raises:
+        InputError: colour, two-dimensional, or a type that is not a number.
+    """
     dtype, shape = image.get_data_dtype(), image.shape
     if dtype.names or shape[4:] == (3,):
         raise InputError(IS_COLOR)
     if len(shape) < 3:
         raise InputError(IS_FLAT)
-    if shape[3:] not in ((), (1,)):
-        raise InputError(IS_FOUR_D)
     if dtype.kind not in "iuf" or dtype.itemsize > 8:
         raise InputError(f"NIfTI type {dtype} is not an integer or float type of at most 64 bits")
-    notes: list[str] = []
-    matrix = nifti_matrix(image, notes)
-    array = nifti_array(image, check_size(shape, dtype, max_bytes), path)
-    return Volume(array.reshape(array.shape[-3:]), matrix, name=title(path), notes=tuple(notes))
+    return checked_count(math.prod(int(n) for n in shape[3:]))
 
 
-def nifti_array(image, size: int, path: Path) -> np.ndarray:
-    """The voxels, slowest axis first, native. Scaled integers up to 16 bits become float32, others float64."""
+def nifti_array(image, size: int, path: Path, index: int | None = None) -> np.ndarray:
+    """The voxels, slowest axis first; of an uncompressed file without a scale the file itself, read-only and mapped.
+
+    Scaled integers up to 16 bits become float32, others float64.
+    """
     if size > path.stat().st_size * (MAX_DEFLATE_RATIO if path.suffix.lower() == ".gz" else 1):
         raise InputError(IS_TRUNCATED)
     dtype = image.get_data_dtype()
+    part = (...,) if index is None else (..., *np.unravel_index(index, image.shape[3:], order="F"))
+    part = tuple(int(n) if isinstance(n, np.integer) else n for n in part)
     try:
         if (image.dataobj.slope, image.dataobj.inter) == (1.0, 0.0):  # nibabel blanks the header's own after loading
-            array = image.dataobj.get_unscaled()
-        else:
-            narrow = dtype.itemsize <= 2 or dtype == np.float32
-            array = np.asarray(image.dataobj, dtype=np.float32 if narrow else np.float64)
-            dtype = np.dtype(np.float32 if narrow else np.float64)
-    except (EOFError, zlib.error, OSError, ValueError) as error:  # ValueError: an offset beyond any file
+            array = image.dataobj.get_unscaled() if index is None else image.dataobj[part]
+            return np.asarray(array).T.astype(dtype.newbyteorder("="), copy=False)
+        narrow = np.float32 if dtype.itemsize <= 2 or dtype == np.float32 else np.float64
+        if index is None:
+            return np.asarray(image.dataobj, dtype=narrow).T
+        return np.asarray(image.dataobj[part], dtype=narrow).T
+    except (EOFError, zlib.error, OSError, ValueError, OverflowError) as error:  # ValueError: an offset beyond any file
         raise InputError(f"{IS_TRUNCATED} ({error})") from error
-    return np.asarray(array).T.astype(dtype.newbyteorder("="), copy=False)

@@ -13,7 +13,8 @@ import numpy as np
 
 from ..errors import InputError
 from ..volume import Volume
-from .voxel_data import IS_COLOR, IS_FLAT, IS_FOUR_D, MAX_HEADER, check_size, data_file, read_voxels, title
+from .choice import Choice, checked_count, chosen_note, pick
+from .voxel_data import IS_COLOR, IS_FLAT, IS_FOUR_D, MAX_HEADER, check_size, data_file, read_voxels, repaired, title
 
 _TYPES = {
     alias: dtype
@@ -37,8 +38,18 @@ _FIELDS = {
     **{name: name for name in ("space", "space dimension", "space directions", "space origin")},
     **{name.replace(" ", ""): name for name in ("data file", "byte skip", "line skip")},
     **{name: name for name in ("data file", "byte skip", "line skip")},
+    **{name.replace(" ", ""): name for name in ("axis mins", "axis maxs")},
+    **{name: name for name in ("axis mins", "axis maxs", "centerings", "space units", "units")},
+    "centers": "centerings",
 }
+_IN_SPACE = ("domain", "space", "???", "none")
 _ENCODINGS = {"gz": "gzip", "bz2": "bzip2", "ascii": "text", "txt": "text"}
+_UNITS_MM = {
+    **dict.fromkeys(("mm", "millimeter", "millimeters", "millimetre"), 1.0),
+    **dict.fromkeys(("um", "\u00b5m", "\u03bcm", "micron", "microns", "micrometer", "micrometre"), 1e-3),
+    **dict.fromkeys(("m", "meter", "metre", "meters", "metres"), 1e3),
+    **{"cm": 10.0, "nm": 1e-6},
+}
 _RAS_SIGNS = {
     **dict.fromkeys(("right-anterior-superior", "ras"), (1.0, 1.0, 1.0)),
     **dict.fromkeys(("left-anterior-superior", "las"), (-1.0, 1.0, 1.0)),
@@ -76,7 +87,10 @@ def nrrd_header(path: Path) -> dict:
 
 
 def nrrd_axes(header: dict) -> tuple[list[int], list[int]]:
-    """The axes in space and the other ones (colour, vector, list), from kinds and directions."""
+    """The axes in space and the other ones (colour, vector, list), from kinds and directions.
+
+    Axes of length one that are not needed are in neither list.
+    """
     missing = {"dimension", "type", "encoding", "sizes"} - header.keys()
     if missing:
         raise InputError(f"the NRRD header lacks {', '.join(sorted(missing))}")
@@ -84,11 +98,16 @@ def nrrd_axes(header: dict) -> tuple[list[int], list[int]]:
     kinds = [kind.lower() for kind in header.get("kinds", ["domain"] * len(sizes))]
     if {len(sizes), len(kinds), len(sizes if directions is None else directions)} != {header["dimension"]}:
         raise InputError("sizes, kinds and space directions of the NRRD header differ in number from its dimension")
-    in_space = [
-        kind in ("domain", "space", "???", "none") and (directions is None or not np.isnan(directions[axis]).all())
+    inside = [
+        axis
         for axis, kind in enumerate(kinds)
+        if kind in _IN_SPACE and (directions is None or not np.isnan(directions[axis]).all())
     ]
-    return [a for a, inside in enumerate(in_space) if inside], [a for a, inside in enumerate(in_space) if not inside]
+    while len(inside) > 3 and (single := [axis for axis in inside if sizes[axis] == 1]):
+        inside.remove(single[-1])
+    if len(inside) == 4 and directions is None:
+        inside.pop()  # the last of four is time
+    return inside, [axis for axis, size in enumerate(sizes) if axis not in inside and size != 1]
 
 
 def nrrd_matrix(header: dict, axes: Sequence[int], notes: list[str]) -> np.ndarray:
@@ -104,34 +123,124 @@ def nrrd_matrix(header: dict, axes: Sequence[int], notes: list[str]) -> np.ndarr
             raise InputError(f"the NRRD space has {directions.shape[1]} dimensions instead of 3")
         matrix[:3, :3] = signs[:, None] * directions[list(axes)].T
     else:
-        steps = header.get("spacings", header.get("thicknesses", np.full(header["dimension"], np.nan)))
-        if len(steps) != header["dimension"]:
-            raise InputError("the NRRD header has spacings that differ in number from its dimension")
-        steps = steps[list(axes)]
-        if not np.all(np.isfinite(steps) & (steps != 0)):
-            notes.append("no spacing in the NRRD header: 1 mm is assumed")
-        matrix[:3, :3] = np.diag(signs * np.where(np.isfinite(steps) & (steps != 0), steps, 1.0))
+        matrix[:3, :3] = np.diag(signs * _steps(header, axes, notes))
+    matrix[:3, 3] = signs * _origin(header, axes, signs * np.diag(matrix)[:3], notes)
+    scale = _unit_mm(header, axes, notes)
+    matrix[:3] *= scale
+    return repaired(matrix, [int(header["sizes"][axis]) for axis in reversed(axes)], notes) + 0.0  # no -0.0
+
+
+def _per_axis(header: dict, name: str, axes: Sequence[int]) -> np.ndarray:
+    """(3,) numbers of the axes in space; nan where they are not given."""
+    values = header.get(name)
+    if values is None:
+        return np.full(len(axes), np.nan)
+    if np.size(values) != header["dimension"]:
+        raise InputError(f"the NRRD header has {name} that differ in number from its dimension")
+    return np.asarray(values, dtype=np.float64)[list(axes)]
+
+
+def _steps(header: dict, axes: Sequence[int], notes: list[str]) -> np.ndarray:
+    """(3,) from spacings, from the ends of the axes, or from thicknesses."""
+    lows, highs = _per_axis(header, "axis mins", axes), _per_axis(header, "axis maxs", axes)
+    sizes = np.asarray(header["sizes"], dtype=np.float64)[list(axes)]
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        found = [_per_axis(header, "spacings", axes), (highs - lows) / (sizes - _is_node(header, axes))]
+    steps = np.full(len(axes), np.nan)
+    for values in (*found, _per_axis(header, "thicknesses", axes)):
+        good = np.isfinite(values) & (values != 0)
+        steps = np.where(np.isfinite(steps) | ~good, steps, values)
+    if not np.isfinite(steps).all():
+        notes.append("no spacing in the NRRD header: 1 mm is assumed")
+    return np.where(np.isfinite(steps), steps, 1.0)
+
+
+def _is_node(header: dict, axes: Sequence[int]) -> np.ndarray:
+    """(3,) bool: the axis' ends are centres of voxels; else, as by default (and in ITK), they are edges of them."""
+    centers = header.get("centerings") or ["cell"] * header["dimension"]
+    if len(centers) != header["dimension"]:
+        raise InputError("the NRRD header has centerings that differ in number from its dimension")
+    return np.array([str(centers[axis]).lower() == "node" for axis in axes])
+
+
+def _origin(header: dict, axes: Sequence[int], steps: np.ndarray, notes: list[str]) -> np.ndarray:
+    """(3,) in the header's own space."""
     origin = header.get("space origin")
-    if origin is None or np.shape(origin) != (3,):
-        notes.append("no origin in the NRRD header: 0, 0, 0 is assumed")
-        origin = np.zeros(3)
-    matrix[:3, 3] = signs * origin
-    return matrix + 0.0  # + 0.0 turns -0.0 into 0.0
+    if origin is not None and np.shape(origin) == (3,):
+        return np.asarray(origin, dtype=np.float64)
+    lows = _per_axis(header, "axis mins", axes)
+    if header.get("space directions") is None and np.isfinite(lows).all():
+        notes.append("the origin is taken from the axis mins of the NRRD header, as ITK does")
+        return lows + np.where(_is_node(header, axes), 0.0, steps / 2)
+    notes.append("no origin in the NRRD header: 0, 0, 0 is assumed")
+    return np.zeros(3)
 
 
-def read_nrrd(path: Path, max_bytes: int) -> Volume:
-    """A scalar NRRD with three axes in space, in any known or unknown space, with attached or detached data."""
+def _unit_mm(header: dict, axes: Sequence[int], notes: list[str]) -> float:
+    """Millimetres in the header's unit."""
+    units = header.get("space units")
+    if not units and header.get("units") and len(header["units"]) == header["dimension"]:
+        units = [header["units"][axis] for axis in axes]
+    words = {str(unit).strip() for unit in units or () if str(unit).strip()}
+    if not words:
+        return 1.0
+    known = {_UNITS_MM.get(word.lower()) for word in words}
+    scale = known.pop() if len(known) == 1 else None
+    if scale is None:
+        notes.append(f"the unit of the NRRD header ({', '.join(sorted(words))}) is not known; it is taken as mm")
+        return 1.0
+    if scale != 1.0:
+        notes.append(f"the NRRD header's unit is not millimetres; the geometry was multiplied by {scale:g}")
+    return scale
+
+
+def nrrd_choices(path: Path) -> list[Choice]:
+    """What there is to choose from: one volume, or one for each point of a fourth axis."""
     header = nrrd_header(path)
     spatial, other = nrrd_axes(header)
+    shape = tuple(int(header["sizes"][axis]) for axis in spatial)
+    count = _volume_count(header, spatial, other)
+    spacing = tuple(np.linalg.norm(nrrd_matrix(header, spatial, [])[:3, :3], axis=0).tolist())
+    return [Choice(f"volume {n + 1}" if count > 1 else title(path), shape, spacing) for n in range(count)]
+
+
+def _volume_count(header: dict, spatial: list[int], other: list[int]) -> int:
+    """Volumes of a file.
+
+    Raises:
+        InputError: two-dimensional, colour, or more than one axis too many.
+    """
+    sizes = header["sizes"]
     if len(spatial) == 2:
         raise InputError(IS_FLAT)
-    if other and len(spatial) == 3:
+    kinds = [kind.lower() for kind in header.get("kinds", [])]
+    if len(spatial) == 3 and any(kinds and kinds[axis] not in ("list", "time", *_IN_SPACE) for axis in other):
         raise InputError(IS_COLOR)
-    if other or len(spatial) != 3:
+    if len(spatial) != 3 or len(other) > 1:
         raise InputError(IS_FOUR_D)
+    return checked_count(int(sizes[other[0]])) if other else 1
+
+
+def read_nrrd(path: Path, max_bytes: int, number: int | None = None) -> Volume:
+    """A scalar NRRD with three axes in space, in any known or unknown space, with attached or detached data.
+
+    Of more (an axis of the kind list or time) the volume with that number, from 1 on.
+    """
+    header = nrrd_header(path)
+    spatial, other = nrrd_axes(header)
+    count = _volume_count(header, spatial, other)
+    if count > 1 and number is None:
+        raise InputError(f"{IS_FOUR_D} ({count} volumes)")
     notes: list[str] = []
+    choices = nrrd_choices(path)
+    index = pick(choices, number)
+    notes += chosen_note(choices, index, number)
     matrix = nrrd_matrix(header, spatial, notes)
-    return Volume(nrrd_array(path, header, max_bytes), matrix, name=title(path), notes=tuple(notes))
+    array = nrrd_array(path, header, max_bytes)
+    if other:
+        array = array.take(index, axis=len(header["sizes"]) - 1 - other[0])
+    shape = [int(header["sizes"][axis]) for axis in reversed(spatial)]
+    return Volume(array.reshape(shape), matrix, name=title(path), notes=tuple(notes))
 
 
 def nrrd_array(path: Path, header: dict, max_bytes: int) -> np.ndarray:

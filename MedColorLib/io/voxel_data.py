@@ -28,7 +28,7 @@ MAX_HEADER = 1 << 20
 
 IS_COLOR = "a colour or vector image, which can only be a reference; the volume to colour has to be scalar"
 IS_FLAT = "a two-dimensional image; put all slices as PNG or TIFF files in one folder and give the folder"
-IS_FOUR_D = "more than three dimensions (a time series?); save one scalar volume of it in a file of its own"
+IS_FOUR_D = "more than three dimensions (a time series?); choose one with --volume N, or save it in a file of its own"
 IS_TRUNCATED = "the file ends before its last voxel; copy or export it again"
 _IS_SCATTERED = "the voxels are spread over several data files; save the volume as one file"
 _CHUNK = 1 << 24
@@ -45,11 +45,24 @@ def check_size(shape: Sequence[int], dtype: np.dtype, max_bytes: int) -> int:
         raise InputError(f"the volume has no voxels ({sizes})")
     size = math.prod(int(n) for n in shape) * np.dtype(dtype).itemsize
     if size > max_bytes:
+        taken = f"{size / 2**30:.3g}" if size < 1 << 100 else "countless"
         raise InputError(
-            f"{sizes} voxels of {dtype} take {size / 2**30:.3g} GiB, more than the limit of {max_bytes / 2**30:.3g}; "
+            f"{sizes} voxels of {dtype} take {taken} GiB, more than the limit of {max_bytes / 2**30:.3g}; "
             "crop or resample the volume first"
         )
     return size
+
+
+def repaired(ijk_to_ras: np.ndarray, shape: Sequence[int], notes: list[str]) -> np.ndarray:
+    """(4, 4) with a direction for axes (k, j, i) of length one that have none: their normal, 1 mm; noted."""
+    matrix = ijk_to_ras.copy()
+    for axis in range(3):
+        if shape[2 - axis] == 1 and not matrix[:3, axis].any():
+            normal = np.cross(matrix[:3, (axis + 1) % 3], matrix[:3, (axis + 2) % 3])
+            length = float(np.linalg.norm(normal))
+            matrix[:3, axis] = normal / length if length else np.eye(3)[axis]
+            notes.append(f"axis {'ijk'[axis]} has one voxel and no size: 1 mm is assumed")
+    return matrix
 
 
 def natural_key(path: Path) -> list[tuple[int, str]]:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError
+from ..io.quiet import itk_name
 from ..io.voxel_data import title
 from ..scan.slices import slice_order
 from .photograph import Frame, Reference
@@ -70,8 +71,20 @@ def _read_vector_volume(path: Path) -> tuple[np.ndarray, np.ndarray]:
 
     if not path.is_file():
         raise InputError(f"reference: no file {path}")
+    with itk_name(path) as name:
+        image = _read_by_itk(name, path)
+    direction = np.array(image.GetDirection()).reshape(3, 3) * np.array(image.GetSpacing())
+    lps = np.eye(4)
+    lps[:3, :3], lps[:3, 3] = direction, image.GetOrigin()
+    return sitk.GetArrayFromImage(image), _LPS_TO_RAS @ lps
+
+
+def _read_by_itk(name: str, path: Path):
+    """The image, checked before its voxels are read; `path` is for messages."""
+    import SimpleITK as sitk
+
     reader = sitk.ImageFileReader()
-    reader.SetFileName(str(path))
+    reader.SetFileName(name)
     try:
         reader.ReadImageInformation()
         count, size = reader.GetNumberOfComponents(), reader.GetSize()
@@ -83,11 +96,7 @@ def _read_vector_volume(path: Path) -> tuple[np.ndarray, np.ndarray]:
             )
         if np.prod([float(n) for n in size]) * count > MAX_BYTES:
             raise InputError(f"reference {path.name}: more than {MAX_BYTES >> 30} GiB; crop or resample the volume")
-        image = reader.Execute()
+        return reader.Execute()
     except RuntimeError as error:
         reason = " ".join(str(error).split())[-160:]
         raise InputError(f"reference {path.name}: cannot be read as a volume (... {reason})") from error
-    direction = np.array(image.GetDirection()).reshape(3, 3) * np.array(image.GetSpacing())
-    lps = np.eye(4)
-    lps[:3, :3], lps[:3, 3] = direction, image.GetOrigin()
-    return sitk.GetArrayFromImage(image), _LPS_TO_RAS @ lps

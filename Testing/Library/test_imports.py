@@ -19,6 +19,8 @@ HEAVY = (
     "vtkmodules",
     "scipy",
     "SimpleITK",
+    "pydicom",
+    "tifffile",
     "nibabel",
     "nrrd",
     "safetensors",

@@ -180,7 +180,7 @@ class TestBatch:
         assert_whole(Path("out"), one_by_one)
 
     def test_a_bug_in_one_volume_is_listed(self, cohort, monkeypatch):
-        def failing(path):
+        def failing(path, **_options):
             raise ZeroDivisionError("by\nzero")
 
         monkeypatch.setattr(batch, "read_volume", failing)

@@ -55,9 +55,14 @@ def along_z(*heights: float) -> list[tuple[float, float, float]]:
     return [(-20.5, 30.25, height) for height in heights]
 
 
-def check(volume: Volume, positions: Sequence[Sequence[float]], axes: Sequence[float] = AXIAL) -> None:
+def check(
+    volume: Volume,
+    positions: Sequence[Sequence[float]],
+    axes: Sequence[float] = AXIAL,
+    shift: Sequence[float] = (0, 0),
+) -> None:
     """Every voxel of every slice lies where its file says (DICOM PS3.3, C.7.6.2.1.1)."""
-    for k, position in enumerate(positions):
+    for k, position in enumerate(np.add(positions, (*shift, 0))):
         for j, i in [(0, 0), (4, 5), (2, 1)]:
             expected = np.array(position) + SPACING[0] * i * np.array(axes[:3]) + SPACING[1] * j * np.array(axes[3:])
             np.testing.assert_allclose((volume.ijk_to_ras @ (i, j, k, 1))[:3], LPS @ expected, atol=1e-9)
@@ -82,27 +87,41 @@ def test_oblique_stack_written_from_the_far_end(tmp_path: Path) -> None:
     check(volume, positions[::-1], OBLIQUE)
 
 
-def test_gantry_tilt_is_kept_as_shear(tmp_path: Path) -> None:
+def test_gantry_tilt_is_resampled_to_an_upright_grid(tmp_path: Path) -> None:
+    """Whole pixels of shift, so that every voxel of the file is still there, at its own place."""
     positions = [(0.0, 0.5 * number, 2.0 * number) for number in range(5)]
     save_stack(tmp_path, positions)
     volume = read_volume(tmp_path)
-    check(volume, positions)
-    assert "gantry tilt of 14.0 degrees" in volume.notes[0]
+    assert volume.array.shape == (5, 9, 6) and volume.array.dtype == np.int16
+    for k in range(5):
+        np.testing.assert_array_equal(volume.array[k, k : k + 5], VOXELS[k])
+    check(volume, along_z(0, 2, 4, 6, 8), shift=(20.5, -30.25))
+    assert volume.notes == ("gantry tilt of 14.0 degrees; resampled to an upright grid (linear)",)
 
 
-def test_gap_is_reported_with_its_place_and_size(tmp_path: Path) -> None:
+def test_gap_is_reported_with_its_place_and_size_and_filled(tmp_path: Path) -> None:
     save_stack(tmp_path, along_z(0, 3, 6, 12, 15))
     volume = read_volume(tmp_path)
-    assert volume.array.shape == (5, 5, 6)
-    assert volume.spacing_mm[2] == pytest.approx(3, abs=1e-12)
+    np.testing.assert_array_equal(volume.array[[0, 1, 2, 4, 5]], VOXELS[:5])
+    np.testing.assert_allclose(volume.array[3], (VOXELS[2] + VOXELS[3].astype(float)) / 2, atol=0.5)
+    check(volume, along_z(0, 3, 6, 9, 12, 15))
     assert len(volume.notes) == 1 and "1 gaps" in volume.notes[0] and "6 mm after 6 mm" in volume.notes[0]
+    assert "filled by interpolation" in volume.notes[0]
 
 
-def test_uneven_steps_take_the_median(tmp_path: Path) -> None:
+def test_blocks_far_from_each_other_are_refused(tmp_path: Path) -> None:
+    save_stack(tmp_path, along_z(0, 3, 6, 99, 102))
+    with pytest.raises(InputError, match=r"blocks far from each other.*folder of their own"):
+        read_volume(tmp_path)
+
+
+def test_uneven_steps_are_resampled_to_their_median(tmp_path: Path) -> None:
     save_stack(tmp_path, along_z(0, 3, 6, 9.5, 12))
     volume = read_volume(tmp_path)
-    assert volume.spacing_mm[2] == pytest.approx(3, abs=1e-12)
-    assert "2.5 to 3.5 mm apart" in volume.notes[0]
+    np.testing.assert_array_equal(volume.array[[0, 1, 2, 4]], VOXELS[[0, 1, 2, 4]])
+    np.testing.assert_allclose(volume.array[3], VOXELS[2] / 7 + VOXELS[3] * 6 / 7, atol=0.5 + 1e-6)
+    check(volume, along_z(0, 3, 6, 9, 12))
+    assert volume.notes == ("slices 2.5 to 3.5 mm apart; resampled to 3 mm (linear)",)
 
 
 def test_rounded_positions_do_not_add_up(tmp_path: Path) -> None:
@@ -112,14 +131,25 @@ def test_rounded_positions_do_not_add_up(tmp_path: Path) -> None:
     assert volume.notes == () and volume.spacing_mm[2] == pytest.approx(heights[-1] / 8, abs=1e-12)
 
 
-def test_duplicates_and_sideways_shifts(tmp_path: Path) -> None:
-    positions = along_z(0, 3, 6, 9, 3, 6)
-    positions[2] = (-18.5, *positions[2][1:])
-    save_stack(tmp_path, positions)
+def test_slices_at_a_place_already_taken_are_another_volume(tmp_path: Path) -> None:
+    save_stack(tmp_path, along_z(0, 3, 6, 9, 3, 6))
     volume = read_volume(tmp_path)
     np.testing.assert_array_equal(volume.array, VOXELS[:4])
-    assert "2 slices at a position already taken" in volume.notes[0]
-    assert "sideways by up to 2 mm" in volume.notes[1]
+    assert "left out: 2: CT series 4, image 2 of 2 at its place (6 x 5 x 2)" in volume.notes[0]
+    assert "told apart by their times and numbers alone" in volume.notes[1]
+    np.testing.assert_array_equal(read_volume(tmp_path, volume=2).array, VOXELS[4:6])
+
+
+def test_slices_shifted_sideways_are_moved_back(tmp_path: Path) -> None:
+    positions = along_z(0, 3, 6, 9)
+    positions[2] = (positions[2][0] + 2 * SPACING[0], *positions[2][1:])
+    save_stack(tmp_path, positions)
+    volume = read_volume(tmp_path)
+    assert volume.array.shape == (4, 5, 8)
+    np.testing.assert_array_equal(volume.array[[0, 1, 3], :, :6], VOXELS[[0, 1, 3]])
+    np.testing.assert_array_equal(volume.array[2, :, 2:], VOXELS[2])
+    check(volume, along_z(0, 3, 6, 9))
+    assert volume.notes == ("slices are shifted sideways by up to 1.5 mm; moved back to their places (linear)",)
 
 
 def test_largest_series_and_the_series_of_a_file(tmp_path: Path) -> None:
@@ -127,7 +157,13 @@ def test_largest_series_and_the_series_of_a_file(tmp_path: Path) -> None:
     save_stack(tmp_path, along_z(0, 5), "small", t0020_000e="1.2.4", t0020_0011="9", t0008_0060="MR")
     volume = read_volume(tmp_path)
     assert volume.array.shape[0] == 4
-    assert volume.notes == ("CT series 4 with 4 slices was picked, the largest of 2 series",)
+    assert volume.notes == (
+        "CT series 4 (6 x 5 x 4) was read, the largest of 2 volumes; left out: 2: MR series 9 (6 x 5 x 2) (choose with "
+        "--volume N, `medcolor info` lists all)",
+    )
+    assert read_volume(tmp_path, volume=2).name == "MR series 9"
+    with pytest.raises(InputError, match="volume 3 is not there: there are volumes 1 to 2"):
+        read_volume(tmp_path, volume=3)
     volume = read_volume(tmp_path / "small7.dcm")
     assert (volume.array.shape[0], volume.spacing_mm[2], volume.name) == (2, 5, "MR series 9")
     (tmp_path / "small7.dcm").rename(tmp_path / "no ending")
@@ -145,8 +181,11 @@ def test_mixed_orientation_size_spacing_and_other_objects_are_left_out(tmp_path:
     (tmp_path / "readme.txt").write_text("no DICOM")
     volume = read_volume(tmp_path)
     np.testing.assert_array_equal(volume.array, VOXELS[:4])
-    assert "2 DICOM files without a readable image" in volume.notes[0]
-    assert "4 images of the series were left out" in volume.notes[1]
+    assert volume.notes[:2] == (
+        "1 DICOM files without a readable image were left out",
+        "1 colour images were left out",
+    )
+    assert "left out: 2: CT series 4 (7 x 7 x 1); 3: CT series 4, image 1 of 2" in volume.notes[2]
 
 
 def test_medium_with_nested_folders(tmp_path: Path) -> None:
@@ -194,7 +233,7 @@ def replace_in(folder: Path, old: bytes, new: bytes) -> None:
 
 def test_slices_without_positions_follow_their_numbers(tmp_path: Path) -> None:
     for number in range(3):
-        save(tmp_path / f"{9 - number}.dcm", VOXELS[number], (0, 0, 0), t0020_0013=str(number))
+        save(tmp_path / f"{9 - number}.dcm", VOXELS[number], (0, 0, 0), t0020_0013=str(number), t0018_0050="2.5")
     replace_in(tmp_path, b"\x20\x00\x32\x00", b"\x20\x00\x33\x00")
     volume = read_volume(tmp_path)
     np.testing.assert_array_equal(volume.array, VOXELS[:3])
@@ -208,7 +247,8 @@ def test_multi_frame_file(tmp_path: Path) -> None:
     sitk.WriteImage(image, tmp_path / "frames.dcm")
     volume = read_volume(tmp_path)
     np.testing.assert_array_equal(volume.array, frames)
-    assert "multi-frame" in volume.notes[0]
+    np.testing.assert_array_equal(volume.ijk_to_ras, np.diag([-1.0, -1.0, 1.0, 1.0]))
+    assert volume.notes == ()
 
 
 def test_monochrome1_is_noted(tmp_path: Path) -> None:

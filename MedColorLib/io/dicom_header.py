@@ -1,0 +1,358 @@
+"""DICOM headers in: every file becomes frames, one for each plane of pixels, by `pydicom`; no pixel is read here.
+
+A classic file is one frame. A multi-frame file is as many as it has, each with the position, the rescale and the contrast
+of its own functional groups. A Siemens mosaic is as many as it has tiles.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import MissingPackageError
+from .dicom_traits import frame_traits, traits_of
+
+DICOM_ENDINGS = (".dcm", ".dicom", ".ima")
+NATIVE = ("1.2.840.10008.1.2", "1.2.840.10008.1.2.1", "1.2.840.10008.1.2.2")  # implicit, explicit, big endian
+_BIG_ENDIAN = "1.2.840.10008.1.2.2"
+_DEFLATED = "1.2.840.10008.1.2.1.99"
+_PIXEL_TAGS = {0x7FE00010: None, 0x7FE00008: "f4", 0x7FE00009: "f8"}
+_NO_SCANS = ("SEG", "RTDOSE", "RTSTRUCT", "RTPLAN", "PR", "KO", "SR", "DOC", "REG")
+_FILMS = (0x00181063, 0x00181065)  # FrameTime, FrameTimeVector: what FrameIncrementPointer says of a film
+_MAX_FRAMES = 1 << 20
+
+
+@dataclass(frozen=True)
+class Pixels:
+    """Where and how a file holds its stored numbers; `offset` is -1 where only the decoder of a whole file finds them."""
+
+    offset: int
+    frames: int
+    rows: int
+    columns: int
+    syntax: str
+    bits: tuple[int, int, int]  # allocated, stored, high
+    signed: bool
+    real: str | None  # "f4" or "f8" of parametric maps
+    inverted: bool  # MONOCHROME1
+
+    @property
+    def stored(self) -> np.dtype:
+        """Type of the stored numbers, of the machine's byte order."""
+        return np.dtype(self.real or f"{'i' if self.signed else 'u'}{self.bits[0] // 8}")
+
+    @property
+    def limits(self) -> tuple[int, int]:
+        """Smallest and largest integer that the bits hold."""
+        top = 1 << (self.bits[1] - self.signed)
+        return -top * self.signed, top - 1
+
+
+@dataclass(frozen=True)
+class Frame:
+    """What the header says of one plane of pixels."""
+
+    path: Path
+    number: int  # of the frame in the file, or of the tile in its mosaic
+    tiles: int  # along an edge of the mosaic; 1: none
+    pixels: Pixels | None  # None: colour
+    series: str  # SeriesInstanceUID
+    study: str
+    image: str  # SOPInstanceUID
+    whole: str  # what a multi-frame file is a part of: its concatenation, or itself; "": a classic file
+    modality: str
+    series_number: str
+    size: tuple[int, int]  # columns, rows
+    spacing_mm: tuple[float, float] | None  # along i, j
+    thickness_mm: float
+    axes: tuple[float, ...]  # direction cosines of i, then of j; empty: not given
+    position_mm: tuple[float, ...]  # of the first pixel, LPS; empty: not given
+    place: float  # orders what has no position
+    instance: float
+    rescale: tuple[float, float]
+    window: tuple[float, float] | None
+    windows: int
+    traits: dict[str, Any] = field(default_factory=dict)  # what may tell volumes at one place apart
+    equidistant: bool = False  # the position is reckoned from that of the first frame and the header's distance
+
+    @property
+    def label(self) -> str:
+        """Modality and series number, no other words of the header."""
+        return f"{self.modality or 'DICOM'} series {self.series_number}".rstrip()
+
+
+def is_dicom(path: Path) -> bool:
+    """True for a file that is DICOM by its ending, its first bytes, or (without a preamble) its first element.
+
+    The directory of a medium is none: it holds no image.
+    """
+    if path.name.upper() == "DICOMDIR":
+        return False
+    if path.suffix.lower() in DICOM_ENDINGS:
+        return True
+    with path.open("rb") as file:
+        head = file.read(132)
+    return head[128:] == b"DICM" or _begins_with_an_element(head)
+
+
+def _begins_with_an_element(head: bytes) -> bool:
+    """Group 0002 or 0008, and a length that an element there may have; explicit or implicit."""
+    if len(head) < 132 or head[:2] not in (b"\x02\x00", b"\x08\x00") or head[3] != 0:
+        return False
+    explicit = head[4:6].isalpha() and head[4:6].isupper()
+    length = int.from_bytes(head[6:8] if explicit else head[4:8], "little")
+    end = 8 + length
+    return length <= 64 and length % 2 == 0 and head[end : end + 2] in (b"\x02\x00", b"\x08\x00")
+
+
+@contextmanager
+def quiet_pydicom() -> Iterator[None]:
+    """Keep remarks on odd headers off stderr: what matters of them is checked here and noted.
+
+    Raises:
+        MissingPackageError: pydicom is not installed.
+    """
+    try:
+        import pydicom  # noqa: F401
+    except ImportError as error:
+        raise MissingPackageError("DICOM needs the package pydicom: pip install pydicom") from error
+    logger = logging.getLogger("pydicom")
+    before, logger.disabled = logger.disabled, True
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        logger.disabled = before
+
+
+def read_frames(path: Path) -> list[Frame]:
+    """The frames of a file; none for other objects and damaged files."""
+    import pydicom
+
+    try:
+        with path.open("rb") as file:
+            header = pydicom.dcmread(file, stop_before_pixels=True, force=True)
+            at = _pixel_offset(file, header)
+        return _frames(path, header, *at)
+    except (OSError, MemoryError):
+        raise
+    except Exception:  # pydicom raises whatever a damaged header makes its parts raise
+        return []
+
+
+def _pixel_offset(file, header) -> tuple[int, int, int]:
+    """(tag, offset, length) of the pixels' value, or 0, -1, 0 where the file cannot be read in place."""
+    syntax = _syntax(header)
+    if syntax == _DEFLATED:
+        return 0x7FE00010, -1, 0
+    order = "big" if syntax == _BIG_ENDIAN else "little"
+    head = file.read(12)
+    tag = (int.from_bytes(head[:2], order) << 16) + int.from_bytes(head[2:4], order)
+    if tag not in _PIXEL_TAGS or len(head) < 12:
+        return 0, -1, 0
+    if head[4:6].isalpha():
+        return tag, file.tell(), int.from_bytes(head[8:], order)
+    return tag, file.tell() - 4, int.from_bytes(head[4:8], order)
+
+
+def _syntax(header) -> str:
+    """The transfer syntax; of files without one that which `pydicom` took."""
+    given = getattr(header.file_meta, "TransferSyntaxUID", None) if hasattr(header, "file_meta") else None
+    if given:
+        return str(given)
+    implicit, little = getattr(header, "original_encoding", (True, True))
+    return NATIVE[0] if implicit else NATIVE[1 if little else 2]
+
+
+def _frames(path: Path, header, tag: int, offset: int, length: int) -> list[Frame]:
+    modality = str(header.get("Modality", "") or "")
+    if not tag or modality in _NO_SCANS:
+        return []
+    pixels, color = _pixels(header, tag, offset)
+    if pixels.syntax in NATIVE and not color:
+        stored = pixels.frames * pixels.rows * pixels.columns * pixels.bits[0] // 8
+        if min(length, path.stat().st_size - offset) < stored:
+            return []  # cut short
+    common = {
+        "path": path,
+        "pixels": None if color else pixels,
+        "series": str(header.get("SeriesInstanceUID", "")),
+        "study": str(header.get("StudyInstanceUID", "")),
+        "image": str(header.get("SOPInstanceUID", "")) or str(path),
+        "modality": modality,
+        "series_number": str(header.get("SeriesNumber", "") if header.get("SeriesNumber") is not None else ""),
+        "instance": _number(header.get("InstanceNumber"), 0.0),
+        "whole": "",
+    }
+    groups = header.get("PerFrameFunctionalGroupsSequence") or []
+    if "MOSAIC" in traits_of(header).get("image type", ()) and pixels.frames == 1:
+        return _mosaic(header, common, pixels)
+    if pixels.frames == 1 and not groups:
+        return [_frame(header, [header], common, 0, pixels)]
+    common["whole"] = str(header.get("ConcatenationUID", "")) or common["image"]
+    return _multi_frame(header, groups, common, pixels)
+
+
+def _pixels(header, tag: int, offset: int) -> tuple[Pixels, bool]:
+    color = int(header.get("SamplesPerPixel", 1)) != 1 or "PALETTE" in str(header.get("PhotometricInterpretation", ""))
+    allocated = int(header.BitsAllocated)
+    stored = int(header.get("BitsStored", allocated))
+    high = int(header.get("HighBit", stored - 1))
+    real = _PIXEL_TAGS[tag]
+    frames, rows, columns = int(header.get("NumberOfFrames", 1) or 1), int(header.Rows), int(header.Columns)
+    if min(rows, columns, frames) < 1 or frames > _MAX_FRAMES:
+        raise ValueError("no pixels")
+    if allocated not in ((8, 16, 32) if real is None else (32, 64)) or not 0 < stored <= high + 1 <= allocated:
+        raise ValueError("bits that no scanner stores")
+    signed = bool(int(header.get("PixelRepresentation", 0))) and real is None
+    inverted = str(header.get("PhotometricInterpretation", "")).strip() == "MONOCHROME1" and real is None
+    bits = (allocated, stored, high)
+    return Pixels(offset, frames, rows, columns, _syntax(header), bits, signed, real, inverted), color
+
+
+def _frame(header, parts: list, common: dict, number: int, pixels: Pixels, **changed) -> Frame:
+    """One frame. `parts` are the data sets that may hold a value, the nearest first; the header is the last."""
+
+    def values(name: str) -> tuple[float, ...]:
+        return next((found for part in parts if (found := _numbers(part.get(name)))), ())
+
+    spacing = values("PixelSpacing") or values("ImagerPixelSpacing") or values("NominalScannedPixelSpacing")
+    axes, position = values("ImageOrientationPatient"), values("ImagePositionPatient")
+    slope, intercept = values("RescaleSlope") or values("DoseGridScaling"), values("RescaleIntercept")
+    centers, widths = values("WindowCenter"), values("WindowWidth")
+    window = None
+    if centers and widths and widths[0] > 0:
+        window = (centers[0] - widths[0] / 2, centers[0] + widths[0] / 2)
+    known = {
+        "number": number,
+        "tiles": 1,
+        "size": (pixels.columns, pixels.rows),
+        "spacing_mm": spacing[1::-1] if len(spacing) == 2 and min(spacing) > 0 else None,  # rows come first there
+        "thickness_mm": (*values("SpacingBetweenSlices"), *values("SliceThickness"), 0.0),
+        "axes": axes if len(axes) == 6 and _is_frame(axes) else (),
+        "position_mm": position if len(position) == 3 else (),
+        "place": common["instance"],
+        "rescale": (slope[0] if slope and slope[0] else 1.0, intercept[0] if intercept else 0.0),
+        "window": window,
+        "windows": len(centers),
+        "traits": traits_of(header),
+    }
+    known["thickness_mm"] = abs(known["thickness_mm"][0])
+    return Frame(**{**common, **known, **changed})
+
+
+def _is_frame(axes: tuple[float, ...]) -> bool:
+    """Two directions of some length that are not one."""
+    lengths = math.hypot(*axes[:3]), math.hypot(*axes[3:])
+    return min(lengths) > 0.1 and float(np.linalg.norm(np.cross(axes[:3], axes[3:]))) > 0.1 * lengths[0] * lengths[1]
+
+
+def _multi_frame(header, groups, common: dict, pixels: Pixels) -> list[Frame]:
+    shared = next(iter(header.get("SharedFunctionalGroupsSequence") or []), None)
+    offsets = _numbers(header.get("GridFrameOffsetVector"))
+    film = any(int(tag) in _FILMS for tag in _listed(header.get("FrameIncrementPointer"))) and not groups
+    origin = _detector(header)
+    frames = []
+    for number in range(pixels.frames):
+        own = groups[number] if number < len(groups) else None
+        parts = [*_macros(own), *_macros(shared), *origin, header]
+        traits, place = frame_traits(header, parts, number)
+        changed = {"traits": traits, "place": float(number) if place is None else place}
+        frame = _frame(header, parts, common, number, pixels, **changed)
+        if film:
+            changed = {"place": 0.0, "traits": {**traits, "frame of a film": number + 1}}
+        elif not groups and frame.position_mm and frame.axes:
+            changed["position_mm"] = _along(frame, offsets, number, changed["place"])
+            changed["equidistant"] = not offsets
+        frames.append(replace(frame, **changed))
+    return frames
+
+
+def _along(frame: Frame, offsets: tuple[float, ...], number: int, place: float) -> tuple[float, ...]:
+    """The position of a frame of a stack whose header gives that of the first alone."""
+    normal = np.cross(frame.axes[:3], frame.axes[3:])
+    height = offsets[number] - offsets[0] if number < len(offsets) else place * (frame.thickness_mm or 1.0)
+    return tuple(np.add(frame.position_mm, height * normal).tolist())
+
+
+def _macros(group) -> list:
+    """The first item of every sequence of a functional group."""
+    if group is None:
+        return []
+    return [element.value[0] for element in group if element.VR == "SQ" and element.value]
+
+
+def _detector(header) -> list:
+    """Nuclear medicine keeps position and orientation with the detector."""
+    return list(header.get("DetectorInformationSequence") or [])[:1]
+
+
+def _mosaic(header, common: dict, pixels: Pixels) -> list[Frame]:
+    """Slices as tiles of one picture. Siemens writes the position that a picture as large as the mosaic would have."""
+    common["whole"] = common["image"]
+    count, normal = _mosaic_slices(header)
+    tiles = math.ceil(math.sqrt(max(count, 1)))
+    if count < 1 or tiles > min(pixels.rows, pixels.columns):
+        return [_frame(header, [header], common, 0, pixels, tiles=0)]  # refused by name where it is chosen
+    columns, rows = pixels.columns // tiles, pixels.rows // tiles  # a rest stays empty at the end
+    whole = _frame(header, [header], common, 0, pixels)
+    step = _numbers(header.get("SpacingBetweenSlices")) or (whole.thickness_mm or 1.0,)
+    frames = []
+    for number in range(count):
+        position: tuple[float, ...] = ()
+        if whole.position_mm and whole.axes and whole.spacing_mm:
+            axes = np.reshape(whole.axes, (2, 3))
+            inward = np.array([pixels.columns, pixels.rows]) * (1 - 1 / tiles) / 2 * whole.spacing_mm
+            up = np.cross(*axes) if normal is None or not np.any(normal) else np.asarray(normal)
+            position = tuple((whole.position_mm + inward @ axes + number * abs(step[0]) * up).tolist())
+        frames.append(
+            replace(whole, number=number, tiles=tiles, size=(columns, rows), position_mm=position, place=float(number))
+        )
+    return frames
+
+
+def _mosaic_slices(header) -> tuple[int, np.ndarray | None]:
+    """How many, and their normal where the private header gives it."""
+    count = _numbers(header[0x0019, 0x100A].value) if (0x0019, 0x100A) in header else ()
+    from nibabel.nicom import csareader
+
+    def look_up(get: Callable):
+        try:
+            csa = csareader.get_csa_header(header)
+            return None if csa is None else get(csa)
+        except Exception:  # as with headers: whatever damage makes its parts raise
+            return None
+
+    return int(count[0] if count else look_up(csareader.get_n_mosaic) or 0), look_up(csareader.get_slice_normal)
+
+
+def _listed(value) -> list:
+    return (
+        []
+        if value is None
+        else list(value)
+        if isinstance(value, (list, tuple)) or hasattr(value, "append")
+        else [value]
+    )
+
+
+def _numbers(value) -> tuple[float, ...]:
+    """Finite numbers of an element; nothing if one of them is none."""
+    try:
+        found = tuple(float(part) for part in _listed(value))
+    except (TypeError, ValueError):
+        return ()
+    return found if all(map(math.isfinite, found)) else ()
+
+
+def _number(value, default: float) -> float:
+    return (_numbers(value) or (default,))[0]

@@ -1,0 +1,78 @@
+"""Libraries that talk on stderr or end the process, kept from it."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from ..errors import InputError
+
+
+@contextmanager
+def quiet_cv2() -> Iterator[None]:
+    """Keep OpenCV's complaints about damaged files off stderr; they become an `InputError`."""
+    import cv2
+
+    log = cv2 if hasattr(cv2, "setLogLevel") else cv2.utils.logging  # OpenCV 4, as NumPy 1 needs it; OpenCV 5
+    level = log.getLogLevel()
+    log.setLogLevel(0)  # silent
+    try:
+        yield
+    finally:
+        log.setLogLevel(level)
+
+
+@contextmanager
+def quiet_itk() -> Iterator[None]:
+    """Keep ITK's warnings off stderr."""
+    import SimpleITK as sitk
+
+    shown = sitk.ProcessObject.GetGlobalWarningDisplay()
+    sitk.ProcessObject.SetGlobalWarningDisplay(False)
+    try:
+        yield
+    finally:
+        sitk.ProcessObject.SetGlobalWarningDisplay(shown)
+
+
+@contextmanager
+def itk_name(path: Path) -> Iterator[str]:
+    """A name of the file that SimpleITK may be given: it ends the process at one whose bytes are not UTF-8.
+
+    Such a file is reached through a link in a temporary folder.
+
+    Raises:
+        InputError: no link can be made here.
+    """
+    try:
+        str(path).encode("utf-8")
+    except UnicodeEncodeError:
+        with tempfile.TemporaryDirectory() as folder:
+            yield _linked(Path(os.path.abspath(path)), Path(folder))
+    else:
+        yield str(path)
+
+
+def _linked(path: Path, folder: Path) -> str:
+    """Through the file's folder where its own name can be spoken, so that a header finds its data beside it."""
+    try:
+        path.name.encode("utf-8")
+        target, name = path.parent, f"folder/{path.name}"
+    except UnicodeEncodeError:
+        target, name = path, "file" + path.suffix.encode("ascii", "ignore").decode()
+    try:
+        (folder / name.split("/", 1)[0]).symlink_to(target)
+    except OSError as error:
+        raise InputError("the path is not UTF-8; rename it") from error
+    return _checked(str(folder / name))
+
+
+def _checked(name: str) -> str:
+    try:
+        name.encode("utf-8")
+    except UnicodeEncodeError as error:
+        raise InputError("neither its path nor the folder for temporary files is UTF-8; rename one of them") from error
+    return name
