@@ -102,7 +102,7 @@ def checked_planes(source: np.ndarray, guide: np.ndarray) -> tuple[list[np.ndarr
     wide = values.dtype.itemsize > 4 or guide_plane.dtype.itemsize > 4
     wide = wide or (guide_plane.dtype.kind != "f" and guide_plane.dtype.itemsize > 2)  # beyond 24 bits
     dtype = np.float64 if wide else np.float32
-    planes = split(np.array(values, dtype, order="C"))
+    planes = split(np.array(values, dtype, order="C") if values.ndim == 2 else np.ascontiguousarray(values, dtype))
     guide_plane = np.array(guide_plane, dtype, order="C")
     for name, whole, of_it in (("source", values, planes), ("guide", guide, [guide_plane])):
         low, high = min(float(plane.min()) for plane in of_it), max(float(plane.max()) for plane in of_it)
@@ -117,7 +117,7 @@ def split(values: np.ndarray) -> list[np.ndarray]:
     if values.ndim == 2:
         return [values]
     if values.shape[2] > _MOST_TOGETHER:
-        return [np.ascontiguousarray(values[..., channel]) for channel in range(values.shape[2])]
+        return [values[..., channel].copy() for channel in range(values.shape[2])]
     import cv2
 
     return list(cv2.split(values))  # several times as fast

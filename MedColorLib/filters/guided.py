@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -40,17 +41,29 @@ def _window_counts(length: int, radius: int) -> np.ndarray:
 
 
 class _Windows:
-    """Sums over the windows, cut off at the border: OpenCV's running sums, which it keeps in float64."""
+    """Sums over the windows, cut off at the border: OpenCV's running sums, which it keeps in float64.
+
+    Attributes:
+        counts, squared_counts, shares: (H, W) number of pixels n of each window, n^2 and 1 / n.
+    """
 
     def __init__(self, shape: tuple[int, int], radius: int, dtype: np.dtype) -> None:
         self._side = (2 * radius + 1,) * 2
         rows, columns = (_window_counts(n, radius).astype(dtype) for n in shape)
         self.counts = rows[:, None] * columns
+        self.squared_counts, self.shares = self.counts**2, 1 / self.counts
+        for array in (self.counts, self.squared_counts, self.shares):
+            array.setflags(write=False)
 
     def sums(self, plane: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
         import cv2
 
         return cv2.boxFilter(plane, -1, self._side, dst=out, normalize=False, borderType=cv2.BORDER_CONSTANT)
+
+
+@lru_cache(maxsize=4)  # slices of a volume are of few sizes
+def _windows(shape: tuple[int, int], radius: int, dtype: str) -> _Windows:
+    return _Windows(shape, radius, np.dtype(dtype))
 
 
 def guided_filter(source: np.ndarray, guide: np.ndarray, radius: int = 16, eps: float = 2.0) -> np.ndarray:
@@ -73,9 +86,11 @@ def guided_filter(source: np.ndarray, guide: np.ndarray, radius: int = 16, eps: 
         InputError: shapes that do not fit, empty arrays, NaN or infinite values.
         SettingsError: a parameter outside its range.
     """
+    import cv2
+
     parameters = GuidedParameters(radius, eps)
     planes, centred = checked_planes(source, guide)
-    centred -= np.round(centred.mean(dtype=np.float64)).astype(centred.dtype)  # whole numbers stay whole
+    centred -= centred.dtype.type(round(cv2.mean(centred)[0]))  # whole numbers stay whole
     largest = max(-float(centred.min()), float(centred.max()))
     small = all(max(-float(plane.min()), float(plane.max())) < _SINGLE_SOURCE for plane in planes)
     if planes[0].dtype == np.float32 and (parameters.eps < _SINGLE_EPS * largest**2 or not small or largest > 1e6):
@@ -90,33 +105,40 @@ def _filtered(planes: list[np.ndarray], guide: np.ndarray, radius: int, eps: flo
     With n the number of pixels of a window and S its sums: a = (n S(If) - S(I) S(f)) / (n S(I^2) - S(I)^2 + n^2 eps),
     b = (S(f) - a S(I)) / n, result (S(a) I + S(b)) / n.
     """
-    windows, kind = _Windows(guide.shape, radius, guide.dtype), guide.dtype.type
-    counts, guide_sums = windows.counts, windows.sums(guide)
-    work = guide * guide
+    windows = _windows(guide.shape, radius, guide.dtype.char)
+    guide_sums, work = windows.sums(guide), guide * guide
     divisor = windows.sums(work)
-    divisor *= counts
+    divisor *= windows.counts
     divisor -= np.multiply(guide_sums, guide_sums, out=work)
     np.maximum(divisor, 0, out=divisor)
-    divisor += np.multiply(np.square(counts, out=work), kind(eps), out=work)
-    of_product, of_sum = counts / divisor, np.divide(guide_sums, divisor, out=divisor)
-    shares = np.divide(kind(1), counts, out=counts)
-    sums, slope = np.empty_like(guide), np.empty_like(guide)
-    for plane in planes:
-        mean = kind(plane.mean(dtype=np.float64))
-        plane -= mean
-        windows.sums(plane, sums)
-        plane *= guide
-        windows.sums(plane, slope)
-        slope *= of_product
-        slope -= np.multiply(sums, of_sum, out=work)
-        sums -= np.multiply(slope, guide_sums, out=work)
-        sums *= shares  # the offset
-        windows.sums(slope, plane)
-        plane *= guide
-        plane += windows.sums(sums, work)
-        plane *= shares
-        plane += mean
-    return planes
+    divisor += np.multiply(windows.squared_counts, guide.dtype.type(eps), out=work)
+    of_product = windows.counts / divisor
+    guide_sums *= -1
+    of_sum = np.divide(guide_sums, divisor, out=divisor)
+    spare = work, np.empty_like(guide)
+    return [_filtered_plane(plane, guide, windows, (guide_sums, of_product, of_sum), spare) for plane in planes]
+
+
+def _filtered_plane(plane: np.ndarray, guide: np.ndarray, windows: _Windows, shared: tuple, spare: tuple) -> np.ndarray:
+    """One channel, which is overwritten, with what all channels share and two arrays to work in; formulas in `_filtered`."""
+    import cv2
+
+    (minus_guide_sums, of_product, minus_of_sum), (sums, slope) = shared, spare
+    mean = plane.dtype.type(cv2.mean(plane)[0])
+    plane -= mean
+    windows.sums(plane, sums)
+    plane *= guide
+    windows.sums(plane, slope)
+    slope *= of_product
+    cv2.accumulateProduct(sums, minus_of_sum, slope)
+    cv2.accumulateProduct(slope, minus_guide_sums, sums)
+    sums *= windows.shares  # the offset
+    result = windows.sums(sums)
+    windows.sums(slope, plane)
+    cv2.accumulateProduct(plane, guide, result)
+    result *= windows.shares
+    result += mean
+    return result
 
 
 def smooth(source: np.ndarray, guide: np.ndarray, parameters: GuidedParameters | None = None) -> np.ndarray:

@@ -47,7 +47,9 @@ def eight_bit(guide: Any) -> np.ndarray | None:
     return whole if np.array_equal(whole, values) else None
 
 
-def fast_global_smoother(source: np.ndarray, guide: np.ndarray, lambdas: list[float], sigma: float) -> np.ndarray | None:
+def fast_global_smoother(
+    source: np.ndarray, guide: np.ndarray, lambdas: list[float], sigma: float
+) -> np.ndarray | None:
     """`fgs.fast_global_smoother` by OpenCV, or None where it is not safe.
 
     Args:
@@ -76,31 +78,51 @@ def domain_transform(
     Returns:
         float32 of the source's shape, each channel within its range.
     """
+    values, guide_values = np.asarray(source), np.asarray(guide)
     if not (SIGMA_S_RANGE[0] <= sigma_s <= SIGMA_S_RANGE[1] and sigma_r >= SIGMA_R_LEAST):
         return None
-    planes = _safe_planes(source, np.shape(guide))
-    ximgproc = None if planes is None or len(planes) > _MOST_CHANNELS else contributed()
-    values = np.asarray(guide)
-    if ximgproc is None or values.dtype.kind not in "buif" or not _largest(values) <= _LARGEST_GUIDE:
+    if not _suits(values, guide_values.shape) or guide_values.dtype.kind not in "buif":
         return None
-    joined = merged([plane for plane, *_ in planes], np.empty((*values.shape, len(planes))))
+    single, ximgproc = np.ascontiguousarray(values, np.float32), contributed()
+    channels = values.shape[2] if values.ndim == 3 else 1
+    (low, high), largest_guide = _limits(single, channels), _largest(guide_values)
+    if ximgproc is None or channels > _MOST_CHANNELS or not largest_guide <= _LARGEST_GUIDE or not _small(low, high):
+        return None
     result = ximgproc.dtFilter(
-        values.astype(np.float32), joined, sigma_s, sigma_r, mode=ximgproc.DTF_RF, numIters=iterations
-    )
-    return merged([_within(one, *limits) for one, (_, *limits) in zip(split(result), planes)], source)
+        guide_values.astype(np.float32), single, sigma_s, sigma_r, mode=ximgproc.DTF_RF, numIters=iterations
+    ).reshape(values.shape)
+    new_low, new_high = _limits(result, channels)
+    if (new_low < low).any() or (new_high > high).any():  # by rounding, rarely: looking is faster than limiting
+        np.clip(result, low, high, out=result)
+    return result
+
+
+def _suits(values: np.ndarray, shape: tuple[int, ...]) -> bool:
+    """Whether a source is of a kind that is computed in float32, and of a shape for OpenCV, beside a guide (H, W)."""
+    fits = values.ndim in (2, 3) and values.shape[:2] == shape and len(shape) == 2 and values.size > 0
+    if not fits or min(shape) < 2 or max(shape) > _LONGEST:  # a line has no second direction
+        return False
+    return values.dtype.kind in "buif" and values.dtype.itemsize <= 4 and values.dtype != np.float16
+
+
+def _small(low, high) -> bool:
+    return bool(np.all(np.maximum(-low, high) <= _LARGEST_SOURCE))  # NaN fails
 
 
 def _safe_planes(source: Any, shape: tuple[int, ...]) -> list[tuple[np.ndarray, float, float]] | None:
     """Channels (H, W) float32 with their smallest and largest value; None where they are not for OpenCV."""
     values = np.asarray(source)
-    fits = values.ndim in (2, 3) and values.shape[:2] == shape and len(shape) == 2 and values.size > 0
-    if not fits or values.dtype.kind not in "buif" or values.dtype.itemsize > 4 or max(shape) > _LONGEST:
-        return None
-    if min(shape) < 2 or values.dtype == np.float16:  # a line has no second direction; half precision is computed by ours
+    if not _suits(values, shape):
         return None
     planes = [(plane, plane.min(), plane.max()) for plane in split(np.ascontiguousarray(values, np.float32))]
-    safe = all(max(-low, high) <= _LARGEST_SOURCE for _, low, high in planes)  # NaN fails
-    return planes if safe else None
+    return planes if all(_small(low, high) for _, low, high in planes) else None
+
+
+def _limits(values: np.ndarray, channels: int) -> tuple[np.ndarray, np.ndarray]:
+    """Smallest and largest value of each channel of contiguous (H, W) or (H, W, C); NaN where there is one."""
+    rows = values.reshape(len(values), -1)  # along rows first, which lie in memory as they are read
+    low, high = (extreme(rows, axis=0).reshape(-1, channels) for extreme in (np.min, np.max))
+    return low.min(axis=0), high.max(axis=0)
 
 
 def _largest(values: np.ndarray) -> float:

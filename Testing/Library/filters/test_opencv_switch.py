@@ -173,8 +173,8 @@ class TestGuided:
     def test_single_precision_is_within_the_bound(self, eps, radius):
         rng = np.random.default_rng(2)
         edge = np.where(np.arange(90) < 45, 0.0, 255.0) * np.ones((70, 1))
-        for guide in (edge, np.clip(edge + rng.integers(-1, 2, edge.shape), 0, 255), rng.random(edge.shape) * 255):
-            guide = guide.astype(np.float32)
+        for fine in (edge, np.clip(edge + rng.integers(-1, 2, edge.shape), 0, 255), rng.random(edge.shape) * 255):
+            guide = fine.astype(np.float32)
             follows = guide - 128 + rng.standard_normal(guide.shape) * 5
             source = np.stack([follows, 100 + rng.standard_normal(guide.shape)], -1).astype(np.float32)
             exact = guided_filter(source.astype(np.float64), guide, radius, eps)
