@@ -32,6 +32,11 @@ holds the files of one stage or the choice of alternatives:
 
 `pipeline.colorize` is the map: one call per stage. Nothing heavy is imported until it is used.
 
+On import the environment variable OMP_WAIT_POLICY becomes "PASSIVE" unless it is set: torch's threads then sleep while they
+wait for each other. By default they spin, and on a machine that is busy, each in the way of the one it waits for, a run
+took ten times its share of the processor. torch reads it when it is first imported; a program that imports torch before
+MedColorLib sets it itself.
+
 >>> from MedColorLib import Settings
 >>> Settings(preset="draft").resolved_smoother
 'regression'
@@ -39,7 +44,10 @@ holds the files of one stage or the choice of alternatives:
 
 from __future__ import annotations
 
+import os
 from importlib import import_module
+
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 __version__ = "0.1.0"
 

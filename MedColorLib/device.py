@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
@@ -28,15 +29,37 @@ def fast_dtype(device: torch.device) -> torch.dtype:
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Torch works with one thread inside: for stages of small arrays, where waking a second one takes longer than it saves."""
+    """torch and OpenCV work with one thread inside: for stages of small arrays, where waking a second one takes longer than it
+    saves, and waits for a core on a busy machine.
+    """
+    import cv2
     import torch
 
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
+    threads, cv2_threads = torch.get_num_threads(), cv2.getNumThreads()
+    _set_threads(1, 1)
     try:
         yield
     finally:
-        torch.set_num_threads(threads)
+        _set_threads(threads, cv2_threads)
+
+
+def leave_cores_free(count: int = 1) -> int:
+    """torch and OpenCV leave some cores to others from here on, such as one to a window; never all of them.
+
+    Returns:
+        How many threads they have now.
+    """
+    threads = max(1, (os.cpu_count() or 1) - count)
+    _set_threads(threads, threads)
+    return threads
+
+
+def _set_threads(of_torch: int, of_opencv: int) -> None:
+    import cv2
+    import torch
+
+    torch.set_num_threads(of_torch)
+    cv2.setNumThreads(of_opencv)
 
 
 @contextmanager

@@ -226,6 +226,7 @@ def _report(prepared: Prepared, engine: Engine, run: Run, painter: Painter) -> d
         "settings": prepared.settings.to_dict(),
         "plan": prepared.plan.to_dict(),
         "searched": {str(k): v for k, v in engine.searched.items()},
+        "deconvolution": engine.reconstruct.report() if engine.reconstruct else None,
         "seconds": {
             **{k: round(v, 4) for k, v in run.seconds.items()},
             "total": round(time.perf_counter() - run.started, 4),

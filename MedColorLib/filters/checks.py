@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import numbers
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from ..errors import InputError, SettingsError
 
 _LARGEST = 1e100  # squares and sums of values beyond this leave float64
+_MOST_TOGETHER = 4  # channels in one call of OpenCV, whose versions take up to 128 or 512
 
 
 def number_in_range(name: str, value: object, low: float, high: float, *, above_low: bool = False) -> float:
@@ -50,11 +52,24 @@ def require_finite(name: str, array: np.ndarray) -> None:
         raise bad_values_error(name, bad, array.size)
 
 
-def _real_float64(name: str, array: object) -> np.ndarray:
+def _real(name: str, array: object) -> np.ndarray:
     values = np.asarray(array)
     if values.dtype.kind not in "buif":
         raise InputError(f"{name}: expected an array of real numbers, got dtype {values.dtype}")
-    return values.astype(np.float64)
+    return values
+
+
+def _require_pair(source: object, guide: object, planes: np.ndarray, guide_plane: np.ndarray) -> None:
+    if planes.ndim != 3 or guide_plane.ndim != 2 or planes.shape[:2] != guide_plane.shape or planes.size == 0:
+        raise InputError(
+            f"source and guide: expected (H, W, C) and (H, W) of the same height and width, not empty, got "
+            f"{np.shape(source)} and {np.shape(guide)}"
+        )
+
+
+def _require_magnitude(name: str, low: float, high: float) -> None:
+    if max(-low, high) > _LARGEST:
+        raise InputError(f"{name}: magnitude {max(-low, high):g}; this filter takes up to 1e100; scale it")
 
 
 def float64_pair(source: np.ndarray, guide: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -67,19 +82,54 @@ def float64_pair(source: np.ndarray, guide: np.ndarray) -> tuple[np.ndarray, np.
     Raises:
         InputError: shapes that do not fit each other, empty, not real, NaN, infinite or beyond 1e100.
     """
-    planes, guide64 = _real_float64("source", source), _real_float64("guide", guide)
+    planes, guide64 = _real("source", source).astype(np.float64), _real("guide", guide).astype(np.float64)
     if planes.ndim == 2:
         planes = planes[..., None]
-    if planes.ndim != 3 or guide64.ndim != 2 or planes.shape[:2] != guide64.shape or planes.size == 0:
-        raise InputError(
-            f"source and guide: expected (H, W, C) and (H, W) of the same height and width, not empty, got "
-            f"{np.shape(source)} and {np.shape(guide)}"
-        )
+    _require_pair(source, guide, planes, guide64)
     for name, values in (("source", planes), ("guide", guide64)):
         require_finite(name, values)
-        if np.abs(values).max() > _LARGEST:
-            raise InputError(f"{name}: magnitude {np.abs(values).max():g}; this filter takes up to 1e100; scale it")
+        _require_magnitude(name, float(values.min()), float(values.max()))
     return planes, guide64
+
+
+def checked_planes(source: np.ndarray, guide: np.ndarray) -> tuple[list[np.ndarray], np.ndarray]:
+    """Channels (H, W) of the source and the guide (H, W), all new: float32, float64 where the source has more than 32 bits.
+
+    A guide that float32 does not hold makes all float64. Args and errors as for `float64_pair`.
+    """
+    values, guide_plane = _real("source", source), _real("guide", guide)
+    _require_pair(source, guide, values[..., None] if values.ndim == 2 else values, guide_plane)
+    wide = values.dtype.itemsize > 4 or guide_plane.dtype.itemsize > 4
+    wide = wide or (guide_plane.dtype.kind != "f" and guide_plane.dtype.itemsize > 2)  # beyond 24 bits
+    dtype = np.float64 if wide else np.float32
+    planes = split(np.array(values, dtype, order="C") if values.ndim == 2 else np.ascontiguousarray(values, dtype))
+    guide_plane = np.array(guide_plane, dtype, order="C")
+    for name, whole, of_it in (("source", values, planes), ("guide", guide, [guide_plane])):
+        low, high = min(float(plane.min()) for plane in of_it), max(float(plane.max()) for plane in of_it)
+        if not (math.isfinite(low) and math.isfinite(high) and low <= high):
+            require_finite(name, np.asarray(whole))
+        _require_magnitude(name, low, high)
+    return planes, guide_plane
+
+
+def split(values: np.ndarray) -> list[np.ndarray]:
+    """Channels (H, W) of (H, W) or (H, W, C), contiguous; new arrays but for a single one."""
+    if values.ndim == 2:
+        return [values]
+    if values.shape[2] > _MOST_TOGETHER:
+        return [values[..., channel].copy() for channel in range(values.shape[2])]
+    import cv2
+
+    return list(cv2.split(values))  # several times as fast
+
+
+def merged(planes: list[np.ndarray], like: np.ndarray) -> np.ndarray:
+    """Channels (H, W) side by side again, in the shape of `like`."""
+    if len(planes) > _MOST_TOGETHER:
+        return np.stack(planes, -1)
+    import cv2
+
+    return (planes[0] if len(planes) == 1 else cv2.merge(planes)).reshape(np.shape(like))
 
 
 def output_dtype(source: np.ndarray) -> np.dtype:

@@ -17,6 +17,7 @@ from ..device import fast_dtype
 from .confidence import likeness
 from .fields import exact, patchmatch, windowed
 from .fields.field import upsample, warp
+from .reconstruction import DIRECTIONS
 
 PATCH_RADIUS = {5: 1, 4: 1, 3: 1, 2: 2, 1: 2}  # patches of 3 at layers 5, 4, 3 and 5 at layers 2, 1
 SEARCH_RADIUS = {4: 6, 3: 6, 2: 4, 1: 4}
@@ -87,8 +88,9 @@ def deep_image_analogy(
         target_mask: (N, H, W) bool body on the full grid; reference_mask: (H2, W2) bool tissue.
         stop_layer: 5 .. 1. At the last layer the reverse field, and likeness, are left out unless `keep_reverse`.
         context: position and grey that join the features, or None (the paper).
-        reconstruct: how matched features come one layer down, `f(layer, coarse_warped, fine_warped) -> features of
-            layer`; None takes the reference's own finer features warped by the upsampled field.
+        reconstruct: how matched features come one layer down, `f(layer, direction, coarse_warped, fine_warped) ->
+            features of layer`, direction one of `reconstruction.DIRECTIONS`; None takes the reference's own finer features
+            warped by the upsampled field.
         fine_search: how layers are searched whose similarity would not fit: "windowed" (exhaustive around the start) or
             "patchmatch" (the paper's).
         iterations, seed: of PatchMatch.
@@ -150,8 +152,8 @@ def _descend(layer, target, reference, field, reverse, coarse_shapes, reconstruc
     fine_reverse = upsample(reverse, tuple(a.shape[2:]), coarse_a[1])[:, : b.shape[2], : b.shape[3]]
     from_reference, from_target = warp(b, fine_field), warp(a, fine_reverse)
     if reconstruct is not None:
-        from_reference = reconstruct(layer, warp(reference[layer + 1], field), from_reference)
-        from_target = reconstruct(layer, warp(target[layer + 1], reverse), from_target)
+        from_reference = reconstruct(layer, DIRECTIONS[0], warp(reference[layer + 1], field), from_reference)
+        from_target = reconstruct(layer, DIRECTIONS[1], warp(target[layer + 1], reverse), from_target)
     own_a, own_b = response_weight(a, BLEND_ALPHA[layer]), response_weight(b, BLEND_ALPHA[layer])
     latent_a = own_a * a + (1 - own_a) * from_reference
     latent_b = own_b * b + (1 - own_b) * from_target

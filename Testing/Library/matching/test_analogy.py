@@ -9,7 +9,7 @@ import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from MedColorLib.device import fast_dtype
-from MedColorLib.matching import analogy
+from MedColorLib.matching import analogy, reconstruction
 from MedColorLib.matching.analogy import BLEND_ALPHA, Context, deep_image_analogy, response_weight, unit
 from MedColorLib.matching.confidence import consistency
 from MedColorLib.matching.fields.field import identity
@@ -271,35 +271,70 @@ class TestReconstruction:
         self.start = torch.rand(3, 6, 8, 8, generator=generator)
 
     def residual(self, features):
-        return (self.network.layer_forward(2, features) - self.coarse).square().mean((1, 2, 3))
+        """|CNN(R) - warped|^2 / |warped|^2 of each slice, written out."""
+        missed = (self.network.layer_forward(2, features) - self.coarse).square().sum((1, 2, 3))
+        return missed / self.coarse.square().sum((1, 2, 3))
+
+    def solve(self, coarse=None, start=None, **options):
+        coarse, start = self.coarse if coarse is None else coarse, self.start if start is None else start
+        return deconvolve(self.network, 2, coarse, start, **options)
 
     def test_residual_becomes_small(self):
-        before = self.residual(self.start)
-        assert (self.residual(deconvolve(self.network, 2, self.coarse, self.start)) < 0.05 * before).all()
+        solved, _ = self.solve()
+        assert (self.residual(solved) < 0.05 * self.residual(self.start)).all()
+
+    @pytest.mark.parametrize("scale", [1e-4, 1.0, 1e4])
+    def test_it_moves_at_any_scale_of_the_features(self, scale):
+        """Absolute tolerances once stopped it at its start; the loss was a mean over a million values."""
+        start, coarse = (values.repeat(1, 1, 16, 16) * scale for values in (self.start, self.coarse))
+        solved, found = self.solve(coarse, start, iterations=8)
+        for before, after, evaluations, _ in found:
+            assert after < 0.2 * before and evaluations > 8
+        assert (solved - start).norm() > 0.05 * start.norm()
+
+    def test_what_is_said_of_a_solution_is_so(self):
+        solved, found = self.solve()
+        for n, (before, after, evaluations, converged) in enumerate(found):
+            assert before == pytest.approx(float(self.residual(self.start)[n]), rel=1e-4)
+            assert after == pytest.approx(float(self.residual(solved)[n]), rel=1e-3, abs=1e-9)
+            assert after < 0.05 * before and converged and evaluations <= 2 * reconstruction.MOST_ITERATIONS
+
+    def test_a_short_run_says_that_it_has_not_converged(self):
+        _, found = self.solve(iterations=8)
+        assert [converged for *_, converged in found] == [False] * 3
+
+    def test_it_stops_where_nothing_is_gained(self):
+        unreachable = -self.coarse - 1  # below 0, which no ReLU gives
+        _, found = self.solve(unreachable)
+        for before, after, evaluations, converged in found:
+            assert converged and after <= before and evaluations < reconstruction.MOST_ITERATIONS
 
     def test_a_solution_is_left_alone(self):
-        solved = deconvolve(self.network, 2, self.coarse, self.start, steps=200)
-        again = deconvolve(self.network, 2, self.network.layer_forward(2, solved), solved)
+        solved, _ = self.solve()
+        coarse = self.network.layer_forward(2, solved)
+        again, found = self.solve(coarse, solved)
         torch.testing.assert_close(again, solved)
+        assert all(after <= before and converged for before, after, _, converged in found)
 
     def test_slices_together_as_alone_and_start_untouched(self):
         before = self.start.clone()
-        together = deconvolve(self.network, 2, self.coarse, self.start)
+        together, found = self.solve()
         for n in range(3):
             one = slice(n, n + 1)
-            alone = deconvolve(self.network, 2, self.coarse[one], self.start[one])
+            alone, found_alone = self.solve(self.coarse[one], self.start[one])
             torch.testing.assert_close(together[one], alone, rtol=0, atol=0)
+            assert found_alone == found[one]
         torch.testing.assert_close(self.start, before, rtol=0, atol=0)
         assert not together.requires_grad
 
     def test_works_where_gradients_are_off(self):
         with torch.no_grad():
-            solved = deconvolve(self.network, 2, self.coarse, self.start)
+            solved, _ = self.solve()
         assert (self.residual(solved) < self.residual(self.start)).all()
 
     def test_zero_target_gives_no_nan(self):
-        solved = deconvolve(self.network, 2, torch.zeros_like(self.coarse), self.start)
-        assert torch.isfinite(solved).all()
+        solved, found = self.solve(torch.zeros_like(self.coarse))
+        assert torch.isfinite(solved).all() and all(math.isfinite(number) for one in found for number in one)
 
     def test_warp_computes_nothing(self):
         assert make_reconstruction("warp", None) is None
@@ -307,24 +342,32 @@ class TestReconstruction:
     def test_called_once_a_layer_and_direction(self):
         seen = []
 
-        def reconstruct(layer, coarse, fine):
-            seen.append((layer, tuple(coarse.shape[2:]), tuple(fine.shape[2:])))
+        def reconstruct(layer, direction, coarse, fine):
+            seen.append((layer, direction, tuple(coarse.shape[2:]), tuple(fine.shape[2:])))
             return fine
 
         target, reference = maps(stop=3), maps(1, (80, 48), seed=1, stop=3)
         found = match(target, reference, 3, reconstruct=reconstruct)
+        to_target, to_reference = reconstruction.DIRECTIONS
         assert seen == [
-            (4, (3, 4), (6, 8)),
-            (4, (5, 3), (10, 6)),
-            (3, (6, 8), (12, 16)),
-            (3, (10, 6), (20, 12)),
+            (4, to_target, (3, 4), (6, 8)),
+            (4, to_reference, (5, 3), (10, 6)),
+            (3, to_target, (6, 8), (12, 16)),
+            (3, to_reference, (10, 6), (20, 12)),
         ]
         torch.testing.assert_close(found.field, match(target, reference, 3).field)
 
-    def test_lbfgs_inverts_with_the_extractor_it_was_given(self):
+    def test_the_report_sums_up_by_layer_and_direction(self):
         rebuild = make_reconstruction("lbfgs", self.network)
-        solved = rebuild(2, self.coarse, self.start)
+        for layer, direction in ((1, "b"), (2, "b"), (2, "a"), (2, "a")):
+            solved = rebuild(layer, direction, self.coarse, self.start)
         assert (self.residual(solved) < 0.05 * self.residual(self.start)).all()
+        entries = rebuild.report()
+        assert [(e["layer"], e["direction"], e["slices"]) for e in entries] == [(2, "a", 6), (2, "b", 3), (1, "b", 3)]
+        assert entries[0]["evaluations"] == 2 * entries[1]["evaluations"]
+        for entry in entries:
+            assert entry["loss_before"] == pytest.approx(float(self.residual(self.start).mean()), rel=1e-3)
+            assert entry["loss_after"] < 0.05 * entry["loss_before"] and entry["converged_slices"] == entry["slices"]
 
 
 class Asked(TorchDispatchMode):
