@@ -99,7 +99,7 @@ def find_air(array: np.ndarray) -> Air:
     is_magnitude = sample.min() >= 0 and not constant  # zero means no signal
     points = _points(array, scale, void if constant else None)
     zero = scale.grey_of(0.0) if is_magnitude else void
-    found = _noise(points, zero, is_magnitude)
+    found = _noise(points, zero, None if constant else is_magnitude)
     if found is None and points.void_share >= 0.01:
         tissue = float(np.percentile(points.grey, 75)) - void if points.grey.size else 1.0
         found = _Cluster(void, void + 0.02 * tissue, tissue, False)
@@ -115,7 +115,7 @@ def _no_air(scale: Scale) -> Air:
 def _is_hounsfield(sample: np.ndarray) -> bool:
     """Air at -1000 and soft tissue near 0; or, without air, mostly soft tissue with fat below 0, not clipped there."""
     lowest = np.percentile(sample, 0.5)
-    if lowest < -1100 or sample.max() > 40_000:
+    if lowest < -1500 or sample.max() > 40_000:
         return False
     size = np.abs(sample)
     soft = np.mean((sample > -200) & (sample < 250))
@@ -171,7 +171,7 @@ def _points(array: np.ndarray, scale: Scale, void: float | None) -> _Points:
     return _Points(*parts, void_share=voids / max(total, 1))
 
 
-def _noise(points: _Points, zero: float, is_magnitude: bool) -> _Cluster | None:
+def _noise(points: _Points, zero: float, is_magnitude: bool | None) -> _Cluster | None:
     """The darkest cluster of flood levels that is air."""
     if points.level.size < 50:
         return None
@@ -207,8 +207,14 @@ def _darkest(points: _Points, zero: float, tissue: float) -> _Cluster | None:
     return _Cluster(middle, threshold, tissue, True) if tissue > 3 * spread else None
 
 
-def _is_air(points: _Points, cluster: _Cluster, zero: float, is_magnitude: bool) -> bool:
-    """Air reaches the border, and is next to nothing beside tissue or noise of a magnitude picture."""
+def _is_air(points: _Points, cluster: _Cluster, zero: float, is_magnitude: bool | None) -> bool:
+    """Air reaches the border, and is next to nothing beside tissue, or noise.
+
+    Args:
+        zero: the lowest grey that there is, or that of no signal.
+        is_magnitude: whether noise lies above zero (MR), else it lies around its middle; None where zero is a constant
+            background: what is brighter than that and noisy may be fat in a narrow window.
+    """
     air = points.level <= cluster.threshold
     if not points.rim.any() or air[points.rim].mean() < 0.05 or air.mean() < 0.02:
         return False
@@ -216,9 +222,11 @@ def _is_air(points: _Points, cluster: _Cluster, zero: float, is_magnitude: bool)
     if level <= _BRIGHTEST:
         return True
     voxels = points.voxel[air] - zero
-    rayleigh = float(voxels.mean()) / max(float(voxels.std()), 1e-9)  # 1.91 for one coil
-    white = float(voxels.std()) / max(float(points.grey[air].std()), 1e-9)  # averaging lowers noise, not structure
-    return is_magnitude and level < 0.4 and 1.4 < rayleigh < 2.6 and white > 1.6
+    spread = max(float(voxels.std()), 1e-9)
+    distance = float(voxels.mean()) / spread  # from zero: 1.91 for one coil; 3.1 from the darkest voxel in a thousand
+    white = spread / max(float(points.grey[air].std()), 1e-9)  # averaging lowers noise, not structure
+    expected = 1.4 < distance < 2.6 if is_magnitude else distance < 4
+    return is_magnitude is not None and level < 0.4 and white > 1.6 and expected
 
 
 def half_sample_mode(values: np.ndarray) -> float:
@@ -244,6 +252,8 @@ def _as_air(scale: Scale, found: _Cluster, points: _Points, sample: np.ndarray, 
     threshold = scale.value(found.threshold)
     edge, strong = (scale.value(max(found.threshold, found.middle + share * found.tissue)) for share in (0.25, 0.1))
     clear = scale.value(found.middle + max(2 * (found.threshold - found.middle), 0.2 * found.tissue))
+    if not found.noise:  # an exact background: a pixel is tissue where half of its voxels are something else
+        scale = replace(scale, cut=lowest, missing=True)
     kind = "noise around" if found.noise else "the constant"
     text = f"air is {kind} {scale.value(found.middle):.4g}, tissue above {threshold:.4g}"
     return Air(scale, threshold, edge, strong, clear, None, not found.noise, text)
