@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .reduced import Scale, flood_level, measured_scale, reduced
+from .reduced import Scale, flood_level, measured_scale, raster, reduced
 
 _SIDE = 128  # pixels of the raster on which levels are measured: noise is averaged, skin is still there
 _SLICES = 32
@@ -79,11 +79,12 @@ class _Cluster:
     noise: bool
 
 
-def find_air(array: np.ndarray) -> Air:
+def find_air(array: np.ndarray, pixel_mm: tuple[float, float] = (1.0, 1.0)) -> Air:
     """Find what air is; see the module.
 
     Args:
         array: (k, j, i) scalars. Read plane by plane.
+        pixel_mm: distances between rows and between columns.
     """
     scale, sample = measured_scale(array)
     if scale.low == scale.high:
@@ -97,7 +98,7 @@ def find_air(array: np.ndarray) -> Air:
     constant = np.mean(sample == lowest) > 0.01
     void = scale.grey_of(lowest)
     is_magnitude = sample.min() >= 0 and not constant  # zero means no signal
-    points = _points(array, scale, void if constant else None)
+    points = _points(array, scale, void if constant else None, raster(array.shape, pixel_mm, _SIDE))
     zero = scale.grey_of(0.0) if is_magnitude else void
     found = _noise(points, zero, None if constant else is_magnitude)
     if found is None and points.void_share >= 0.01:
@@ -149,12 +150,12 @@ def _some(array: np.ndarray) -> slice:
     return slice(step // 2 if len(array) > step else 0, None, step)
 
 
-def _points(array: np.ndarray, scale: Scale, void: float | None) -> _Points:
+def _points(array: np.ndarray, scale: Scale, void: float | None, size: tuple[int, int]) -> _Points:
     import cv2
 
     levels, greys, voxels, rims, voids, total = [], [], [], [], 0, 0
     for plane in array[_some(array)]:
-        grey, missing = reduced(plane, scale, _SIDE, 0.8)
+        grey, missing = reduced(plane, scale, size, 0.8)
         measured = np.ones(grey.shape, bool) if missing is None else ~missing
         empty = measured & (grey <= void + 2e-4) if void is not None else np.zeros(grey.shape, bool)
         near_void = cv2.dilate(empty.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0  # partial volume

@@ -9,7 +9,7 @@ import numpy as np
 from ..errors import InputError
 from .air import Air, find_air
 from .parts import BODY, CLEAR, PLATE, TISSUE, filled, mark_body, mark_plates, without_mottle
-from .reduced import reduced
+from .reduced import raster, reduced, resized
 
 _WORK_SIDE = 256  # in-plane pixels at which the outline is found; finer adds noise and time, not outline
 WARN_FROM = 0.02  # of what is not air, left out of the body: in a slice or in all
@@ -106,7 +106,7 @@ class Body:
         return (self.plane(k) > 0.5) | (rim & (values > self.threshold))
 
 
-def find_body(array: np.ndarray) -> Body:
+def find_body(array: np.ndarray, pixel_mm: tuple[float, float] = (1.0, 1.0)) -> Body:
     """Outline the patient: all that is not air, without table and noise, cavities filled slice by slice.
 
     What air is comes from the border of the pictures, see `air`. Air inside the outline (lungs, sinuses) counts as body, so
@@ -114,12 +114,13 @@ def find_body(array: np.ndarray) -> Body:
 
     Args:
         array: (k, j, i) scalars, rows and columns in the transverse plane. Read plane by plane.
+        pixel_mm: distances between rows and between columns; their ratio matters.
 
     Raises:
         InputError: nothing stands out of the background.
     """
-    air = find_air(array)
-    flags = _flags(array, air)
+    air = find_air(array, pixel_mm)
+    flags = _flags(array, air, raster(array.shape, pixel_mm, _WORK_SIDE))
     if air.is_absent:
         flags[(flags & TISSUE) > 0] |= BODY
     else:
@@ -137,7 +138,7 @@ def find_body(array: np.ndarray) -> Body:
 
 def whole_body(shape: tuple[int, int, int]) -> Body:
     """Everything is body, as the user asked."""
-    coarse = np.ones((shape[0], *_raster(shape)), bool)
+    coarse = np.ones((shape[0], *raster(shape, (1.0, 1.0), _WORK_SIDE)), bool)
     return Body(coarse, shape, -np.inf, _boxes(coarse, shape), "all of the picture, as given")
 
 
@@ -150,16 +151,13 @@ def given_body(labels: np.ndarray, name: str) -> Body:
     Raises:
         InputError: it is 0 everywhere.
     """
-    import cv2
-
     shape = labels.shape
-    height, width = _raster(shape)
-    coarse = np.empty((shape[0], height, width), bool)
+    size = raster(shape, (1.0, 1.0), _WORK_SIDE)
+    coarse = np.empty((shape[0], *size), bool)
     boxes = np.zeros((shape[0], 4), np.int64)
     for k, plane in enumerate(labels):
         inside = plane != 0
-        cover = cv2.resize(inside.astype(np.float32), (width, height), interpolation=cv2.INTER_AREA)
-        coarse[k] = cover >= 0.5
+        coarse[k] = resized(inside.astype(np.float32), size) >= 0.5
         boxes[k] = _box(inside, (1, 1))
     if not boxes.any():
         raise InputError(f"body: the mask {name} is 0 everywhere; it has to be 1 (or another label) where the body is")
@@ -179,16 +177,10 @@ def ranges_text(numbers: list[int], most: int = 12) -> str:
     return ", ".join(parts) + (f" and {rest} more" if rest else "")
 
 
-def _raster(shape: tuple[int, int, int]) -> tuple[int, int]:
-    rows, cols = shape[1:]
-    factor = min(1.0, _WORK_SIDE / max(rows, cols))
-    return max(1, round(rows * factor)), max(1, round(cols * factor))
-
-
-def _flags(array: np.ndarray, air: Air) -> np.ndarray:
+def _flags(array: np.ndarray, air: Air, size: tuple[int, int]) -> np.ndarray:
     """(k, h, w) uint8 on the reduced raster: TISSUE where there is no air, CLEAR where that is beyond doubt."""
     scale = air.scale
-    flags = np.zeros((len(array), *_raster(array.shape)), np.uint8)
+    flags = np.zeros((len(array), *size), np.uint8)
     if air.is_absent and not scale.missing:
         flags += TISSUE | CLEAR
         return flags
@@ -198,7 +190,7 @@ def _flags(array: np.ndarray, air: Air) -> np.ndarray:
     )
     radius = max(1, round(max(flags.shape[1:]) / 100))
     for out, plane in zip(flags, array):
-        grey, missing = reduced(plane, scale, _WORK_SIDE, 0.7)
+        grey, missing = reduced(plane, scale, size, 0.7)
         measured = True if missing is None else ~missing
         tissue = (grey > threshold) & measured
         if strong > threshold:

@@ -14,6 +14,7 @@ TISSUE, CLEAR, PLATE, BODY = (np.uint8(1 << n) for n in range(4))  # bits of the
 
 _LONG = 0.15  # of the picture's side: shorter things are ears, noses and fingers
 _PERSISTENT = 0.3  # of the slices
+_MOST_PLATES = 0.6  # of what is no air: a mouse on its bed
 _LARGE = 0.02  # of the largest part
 
 
@@ -68,7 +69,10 @@ def without_mottle(plane: np.ndarray, strong: np.ndarray, radius: int) -> np.nda
 
 
 def mark_plates(flags: np.ndarray) -> None:
-    """Set PLATE where something long and thin stays at one place through the stack; nothing in stacks of under 4 slices."""
+    """Set PLATE where something long and thin stays at one place through the stack.
+
+    Nothing in stacks of under 4 slices, nor where that would be most of what is no air.
+    """
     import cv2
 
     if len(flags) < 4:
@@ -87,8 +91,13 @@ def mark_plates(flags: np.ndarray) -> None:
         times += plates
     often = (times >= max(3, _PERSISTENT * len(flags))).astype(np.uint8)
     often = cv2.dilate(often, np.ones((3, 3), np.uint8)) > 0
+    found = tissue_count = 0
     for plane in flags:
         plane[~often] &= ~PLATE
+        found += np.count_nonzero(plane & PLATE)
+        tissue_count += np.count_nonzero(plane & TISSUE)
+    if found > _MOST_PLATES * tissue_count:  # not a table but a body of thin parts
+        flags &= ~PLATE
 
 
 @dataclass

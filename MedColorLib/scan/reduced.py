@@ -71,38 +71,54 @@ def measured_scale(array: np.ndarray) -> tuple[Scale, np.ndarray]:
     return Scale(2 * float(low), 2 * float(high), 2 * float(floor), missing), 2 * halves
 
 
-def reduced(plane: np.ndarray, scale: Scale, side: int, sigma: float) -> tuple[np.ndarray, np.ndarray | None]:
-    """A plane (rows, cols) on a raster of at most `side` pixels, averaged.
+def raster(shape: tuple[int, ...], pixel_mm: tuple[float, float], side: int) -> tuple[int, int]:
+    """(height, width) of a raster of square pixels for planes (rows, cols), at most `side` pixels long.
+
+    Its pixels are as fine as the finer side of the plane's: radii mean the same along and across thick slices.
+    """
+    extent = shape[-2] * pixel_mm[0], shape[-1] * pixel_mm[1]
+    step = max(min(pixel_mm), max(extent) / side)
+    height, width = (max(1, min(side, round(length / step))) for length in extent)
+    return height, width
+
+
+def resized(plane: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """A plane on a raster of `size` (height, width): averaged along an axis that becomes shorter, else interpolated."""
+    import cv2
+
+    rows, cols = plane.shape
+    shorter = min(rows, size[0]), min(cols, size[1])
+    if shorter != (rows, cols):
+        plane = cv2.resize(plane, shorter[::-1], interpolation=cv2.INTER_AREA)
+    return cv2.resize(plane, size[::-1], interpolation=cv2.INTER_LINEAR) if shorter != size else plane
+
+
+def reduced(
+    plane: np.ndarray, scale: Scale, size: tuple[int, int], sigma: float
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """A plane (rows, cols) on a raster of `size` (height, width).
 
     Args:
         sigma: of the Gaussian that follows, in pixels of the raster: single noisy pixels make no outline.
 
     Returns:
-        Grey (h, w) float32 of what was measured, and (h, w) bool where less than half of a pixel was; None where all was.
+        Grey (height, width) float32 of what was measured, and bool where less than half of a pixel was; None where all was.
     """
     import cv2
 
-    rows, cols = plane.shape
-    factor = min(1.0, side / max(rows, cols))
-    size = (max(1, round(cols * factor)), max(1, round(rows * factor)))
     if not scale.missing and plane.dtype.name in _FAST:
-        small = np.ascontiguousarray(plane)
-        small = cv2.resize(small, size, interpolation=cv2.INTER_AREA) if factor < 1 else small
-        return cv2.GaussianBlur(scale.grey(small), (0, 0), sigma), None
+        return cv2.GaussianBlur(scale.grey(resized(np.ascontiguousarray(plane), size)), (0, 0), sigma), None
     grey = scale.grey(plane)
     with np.errstate(invalid="ignore"):
         missing = ~(plane >= scale.floor)
     if scale.cut is not None:
         missing |= plane == scale.cut
     if not missing.any():
-        grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA) if factor < 1 else grey
-        return cv2.GaussianBlur(grey, (0, 0), sigma), None
+        return cv2.GaussianBlur(resized(grey, size), (0, 0), sigma), None
     grey[missing] = 0
-    share = (~missing).astype(np.float32)
-    if factor < 1:
-        grey, share = (cv2.resize(part, size, interpolation=cv2.INTER_AREA) for part in (grey, share))
-    grey, wide = (cv2.GaussianBlur(part, (0, 0), sigma) for part in (grey, share))
-    return grey / np.maximum(wide, 1e-6), share < 0.5
+    grey, share = resized(grey, size), resized((~missing).astype(np.float32), size)
+    blurred, wide = (cv2.GaussianBlur(part, (0, 0), sigma) for part in (grey, share))
+    return blurred / np.maximum(wide, 1e-6), share < 0.5
 
 
 def flood_level(grey: np.ndarray, missing: np.ndarray | None) -> np.ndarray:
