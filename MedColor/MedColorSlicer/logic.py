@@ -93,7 +93,7 @@ class MedColorLogic(ScriptedLoadableModuleLogic):
 
         result = compute() if run is None else run(compute)
         self._check_still_there(inputVolume, outputVolume, volume.array.shape)
-        node = scene.publish(result, inputVolume, outputVolume, dataclasses.asdict(settings))
+        node = scene.publish(result, inputVolume, outputVolume, settings.to_dict())
         rendering.refresh(node)
         _LOG.info("coloured in %.1f s", time.monotonic() - start)
         return node
@@ -137,7 +137,7 @@ class MedColorLogic(ScriptedLoadableModuleLogic):
         slab, offset = scene.slab_at(inputVolume, sliceIndex)
         plane = ColorVolume(result.rgb[slab], result.ijk_to_ras, result.report)
         name = f"{inputVolume.GetName()} preview"
-        node = scene.publish(plane, inputVolume, previous, dataclasses.asdict(settings), name)
+        node = scene.publish(plane, inputVolume, previous, settings.to_dict(), name)
         node.SetSaveWithScene(False)
         scene.place_part(node, inputVolume, offset)
         return node

@@ -160,7 +160,9 @@ def _points(array: np.ndarray, scale: Scale, void: float | None, size: tuple[int
         empty = measured & (grey <= void + 2e-4) if void is not None else np.zeros(grey.shape, bool)
         near_void = cv2.dilate(empty.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0  # partial volume
         kept = measured & ~near_void
-        inner = cv2.erode(kept.astype(np.uint8), np.ones((3, 3), np.uint8), borderType=cv2.BORDER_CONSTANT, borderValue=0)
+        inner = cv2.erode(
+            kept.astype(np.uint8), np.ones((3, 3), np.uint8), borderType=cv2.BORDER_CONSTANT, borderValue=0
+        )
         rows, cols = (((np.arange(n) + 0.5) * size / n).astype(int) for n, size in zip(grey.shape, plane.shape))
         levels.append(flood_level(grey, missing)[kept])
         greys.append(grey[kept])

@@ -187,8 +187,7 @@ def _select(flags: np.ndarray, parts: _Parts, chosen: np.ndarray) -> None:
     for plane, first in zip(flags, parts.firsts):
         labels, stats = _labels(plane)
         body = np.concatenate([[False], chosen[parts.of[first : first + len(stats)]]])[labels]
-        plane &= ~BODY
-        plane[body] |= BODY
+        plane[:] = np.where(body, plane | BODY, plane & ~BODY)
 
 
 def _near_body(flags: np.ndarray, parts: _Parts, reach: int) -> np.ndarray:
