@@ -38,10 +38,10 @@ _PART = 0.002
 _FULL = 0.05
 
 NOTES = [
-    "outline: clear tissue (a level read off each volume's pictures, opened by a disc, in 3-D parts of at least 0.2 %) that is not "
-    "coloured, of the volume and of the worst slice, and coloured voxels that can be seen beyond 5 mm around clear tissue with its "
-    "holes filled (table, headrest, noise, ghosts), as a share of all that is coloured. The rule knows nothing of how the body is "
-    "found.",
+    "outline: clear tissue (a level read off each volume's pictures, opened by a disc, in 3-D parts of at least 0.2 %) that is "
+    "not coloured, of the volume and of the worst slice; and coloured voxels that can be seen beyond 5 mm around clear tissue "
+    "with its holes filled (table, headrest, noise, ghosts), as a share of all that is coloured. The rule knows nothing of how "
+    "the body is found.",
 ]
 
 

@@ -101,6 +101,8 @@ def find_air(array: np.ndarray, pixel_mm: tuple[float, float] = (1.0, 1.0)) -> A
     points = _points(array, scale, void if constant else None, raster(array.shape, pixel_mm, _SIDE))
     zero = scale.grey_of(0.0) if is_magnitude else void
     found = _noise(points, zero, None if constant else is_magnitude)
+    if found is None and is_magnitude and lowest > 0:  # an offset: zero means nothing
+        found = _noise(points, void, False, offset=True)
     if found is None and points.void_share >= 0.01:
         tissue = float(np.percentile(points.grey, 75)) - void if points.grey.size else 1.0
         found = _Cluster(void, void + 0.02 * tissue, tissue, False)
@@ -174,14 +176,14 @@ def _points(array: np.ndarray, scale: Scale, void: float | None, size: tuple[int
     return _Points(*parts, void_share=voids / max(total, 1))
 
 
-def _noise(points: _Points, zero: float, is_magnitude: bool | None) -> _Cluster | None:
+def _noise(points: _Points, zero: float, is_magnitude: bool | None, offset: bool = False) -> _Cluster | None:
     """The darkest cluster of flood levels that is air."""
     if points.level.size < 50:
         return None
     found = []
     for percentile in _STARTS:
         cluster = _darkest(points, zero, float(np.percentile(points.grey, percentile)) - zero)
-        if cluster is not None and _is_air(points, cluster, zero, is_magnitude):
+        if cluster is not None and _is_air(points, cluster, zero, is_magnitude, offset):
             found.append(cluster)
     return min(found, key=lambda cluster: cluster.middle) if found else None
 
@@ -210,26 +212,27 @@ def _darkest(points: _Points, zero: float, tissue: float) -> _Cluster | None:
     return _Cluster(middle, threshold, tissue, True) if tissue > 3 * spread else None
 
 
-def _is_air(points: _Points, cluster: _Cluster, zero: float, is_magnitude: bool | None) -> bool:
+def _is_air(points: _Points, cluster: _Cluster, zero: float, is_magnitude: bool | None, offset: bool) -> bool:
     """Air reaches the border, and is next to nothing beside tissue, or noise.
 
     Args:
         zero: the lowest grey that there is, or that of no signal.
         is_magnitude: whether noise lies above zero (MR), else it lies around its middle; None where zero is a constant
             background: what is brighter than that and noisy may be fat in a narrow window.
+        offset: whether `zero` is the darkest voxel of magnitudes, which may be tissue: then it has to be noise.
     """
     air = points.level <= cluster.threshold
     if not points.rim.any() or air[points.rim].mean() < 0.05 or air.mean() < 0.02:
         return False
     level = (cluster.middle - zero) / cluster.tissue
-    if level <= _BRIGHTEST:
+    if level <= _BRIGHTEST and not offset:
         return True
     voxels = points.voxel[air] - zero
     spread = max(float(voxels.std()), 1e-9)
     distance = float(voxels.mean()) / spread  # from zero: 1.91 for one coil; 3.1 from the darkest voxel in a thousand
     white = spread / max(float(points.grey[air].std()), 1e-9)  # averaging lowers noise, not structure
     expected = 1.4 < distance < 2.6 if is_magnitude else distance < 4
-    return is_magnitude is not None and level < 0.4 and white > 1.6 and expected
+    return is_magnitude is not None and level < (_BRIGHTEST if offset else 0.4) and white > 1.6 and expected
 
 
 def half_sample_mode(values: np.ndarray) -> float:
@@ -247,7 +250,7 @@ def half_sample_mode(values: np.ndarray) -> float:
 def _as_air(scale: Scale, found: _Cluster, points: _Points, sample: np.ndarray, lowest: float) -> Air:
     tissue = np.sort(points.voxel[points.level > found.threshold]) - found.middle
     clipped = not found.noise and lowest == 0 and np.mean(sample == sample.max()) > 0.003
-    soft = None if clipped else _soft_tissue(tissue, bool(np.mean(sample == sample.max()) > 0.01))
+    soft = None if clipped else _soft_tissue(tissue, bool(np.mean(sample == sample.max()) > 0.003))
     if soft is not None and found.threshold < found.middle + 0.5 * soft:
         threshold = scale.value(found.middle + 0.55 * soft)
         clear = scale.value(found.middle + 0.8 * soft)

@@ -122,13 +122,16 @@ def find_body(array: np.ndarray, pixel_mm: tuple[float, float] = (1.0, 1.0)) -> 
     air = find_air(array, pixel_mm)
     flags = _flags(array, air, raster(array.shape, pixel_mm, _WORK_SIDE))
     if air.is_absent:
-        flags[(flags & TISSUE) > 0] |= BODY
+        for plane in flags:
+            plane[(plane & TISSUE) > 0] |= BODY
     else:
         if air.plates:
             mark_plates(flags)
         mark_body(flags, air.plates)
         _fill(flags)
-    coarse = (flags & BODY) > 0
+    coarse = np.empty(flags.shape, bool)
+    for out, plane in zip(coarse, flags):
+        out[:] = (plane & BODY) > 0
     if not coarse.any():
         raise InputError(
             "body: nothing stands out of the background; check the volume, or take all of it as body (--body all)"
