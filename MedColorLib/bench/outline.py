@@ -3,8 +3,8 @@
 Clear tissue: for each volume a level was read off its pictures that no air, noise, ghost or foam reaches (in Hounsfield
 units -200, elsewhere well above the brightest background seen). Voxels count whose mean over 3 x 3 in their slice lies above
 it and into which a disc fits (3 x 3 pixels; in CT 12 mm across, so that table, sheets, wires and holders fall out), in 3-D
-connected parts of at least 0.2 % of all such voxels. The share of them that is not coloured is `left_black`; `worst` is that of the
-worst slice among those with at least a twentieth of the fullest slice's clear tissue.
+connected parts of at least 0.2 % of all such voxels. The share of them that is not coloured is `left_black`; `worst` is that
+of the worst slice among those with at least a twentieth of the fullest slice's clear tissue.
 
 Beside the body: coloured voxels above the level below which nobody sees them (`visible`), outside clear tissue with its holes
 filled in each slice and 5 mm around it: table, headrest, sheets, noise and ghosts. As a share of all coloured voxels.

@@ -285,4 +285,4 @@ def _soft_tissue(tissue: np.ndarray, is_clipped: bool) -> float | None:
     narrow = counts.max() / max(np.count_nonzero(tissue >= 0.35 * soft), 1)
     between = np.mean((tissue > 0.35 * soft) & (tissue < 0.75 * soft))
     bone = np.mean(tissue > 1.4 * soft)
-    return soft if narrow >= 0.42 and between <= 0.1 and (bone >= 0.005 or is_clipped) else None
+    return soft if narrow >= 0.5 and between <= 0.1 and (bone >= 0.005 or is_clipped) else None
