@@ -18,14 +18,14 @@ LEVEL = outline.Level(-200, -500, is_ct=True)
 def scan():
     values = sample("ct")[0].array[16:32].copy()
     body = np.stack([binary_fill_holes(plane > 0) for plane in labels()[16:32]])
-    values[:, 122:124, 10:100] = 100  # a table
+    values[:, 125:127, 10:100] = 100  # a table
     return values, body
 
 
 def test_nothing_is_wrong_with_the_true_body(scan):
     values, body = scan
     clear = outline.clear_tissue(values, LEVEL, PIXEL_MM)
-    assert clear.sum() > 0.7 * body.sum() and not clear[:, 121:].any()
+    assert clear.sum() > 0.7 * body.sum() and not clear[:, 124:].any()
     assert outline.left_black(clear, body) == (0, 0)
     assert outline.beside_body(values, clear, body, LEVEL, PIXEL_MM) == 0
 
@@ -44,7 +44,7 @@ def test_a_coloured_table_is_seen_and_dark_air_is_not(scan):
     values, body = scan
     clear = outline.clear_tissue(values, LEVEL, PIXEL_MM)
     painted = body.copy()
-    painted[:, 122:124, 10:100] = True
+    painted[:, 125:127, 10:100] = True
     expected = 16 * 2 * 90 / painted.sum()
     assert outline.beside_body(values, clear, painted, LEVEL, PIXEL_MM) == pytest.approx(expected, rel=0.2)
     everything = np.ones_like(body)
