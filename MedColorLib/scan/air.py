@@ -130,6 +130,8 @@ def _is_hounsfield(sample: np.ndarray) -> bool:
 
 def _with_cut(array: np.ndarray, scale: Scale, sample: np.ndarray) -> tuple[Scale, np.ndarray]:
     """Whether the borders hold one exact value amid the others: a normalised scan was cut out on it."""
+    if (sample == np.rint(sample)).all():  # not normalised; noise has few values there
+        return scale, sample
     edges = []
     for plane in array[_some(array)]:
         edges += [plane[0], plane[-1], plane[:, 0], plane[:, -1]]
@@ -139,7 +141,7 @@ def _with_cut(array: np.ndarray, scale: Scale, sample: np.ndarray) -> tuple[Scal
         return scale, sample
     values, counts = np.unique(edge, return_counts=True)
     value = float(values[counts.argmax()])
-    if counts.max() < 0.25 * edge.size or np.mean(sample < value) < 0.01:
+    if counts.max() < 0.5 * edge.size or np.mean(sample < value) < 0.02:
         return scale, sample
     rest = sample[sample != value]
     low, high = 2 * np.percentile(rest / 2, (0.5, 99.5))

@@ -10,6 +10,7 @@ from .intensity import strided
 
 _ENDS = (0.5, 99.5)  # percentiles: one bad voxel does not set the scale
 _SAMPLE = 250_000  # voxels from which ends are taken
+_MOST_STRETCHED = 10
 _FAST = ("uint8", "int16", "uint16")  # what OpenCV averages as it is
 
 
@@ -76,9 +77,14 @@ def raster(shape: tuple[int, ...], pixel_mm: tuple[float, float], side: int) -> 
 
     Its pixels are as fine as the finer side of the plane's: radii mean the same along and across thick slices.
     """
-    extent = shape[-2] * pixel_mm[0], shape[-1] * pixel_mm[1]
-    step = max(min(pixel_mm), max(extent) / side)
-    height, width = (max(1, min(side, round(length / step))) for length in extent)
+    longest = max(pixel_mm)
+    pixel = [max(length, longest / _MOST_STRETCHED) for length in pixel_mm]  # beyond it a header is wrong
+    extent = shape[-2] * pixel[0], shape[-1] * pixel[1]
+    step = max(min(pixel), max(extent) / side)
+    factor = min(1.0, side / max(shape[-2:]))
+    height, width = (
+        min(side, max(1, round(length / step), round(count * factor))) for length, count in zip(extent, shape[-2:])
+    )
     return height, width
 
 
