@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
+import os
 from dataclasses import asdict, dataclass, fields, replace
 from numbers import Real
 
-from .errors import SettingsError
+import numpy as np
+
+from .errors import InputError, SettingsError
+from .volume import Volume
 
 FEATURES = ("auto", "embedded", "vgg19", "gray-vgg19")
 AVERAGING = ("fgs", "domain-transform", "wls")  # weights of one sign: S(w d) / S(w) stays between the values of d
@@ -48,6 +53,28 @@ PRESETS = {
 }
 
 
+class BodyMask:
+    """The body as the user gives it: a label volume in memory, not 0 where the body is.
+
+    Attributes:
+        labels: (k, j, i) in its place, or at the scan's where `placed` is False.
+        placed: whether the place of the labels is known, so that it can be compared with the scan's.
+    """
+
+    def __init__(self, labels: Volume, placed: bool) -> None:
+        self.labels, self.placed = labels, placed
+
+    def __deepcopy__(self, memo) -> BodyMask:
+        return self  # never altered
+
+    def __str__(self) -> str:
+        """Name and content, for reports."""
+        digest = hashlib.sha256()
+        for plane in self.labels.array:
+            digest.update(np.ascontiguousarray(plane).data)
+        return f"mask {self.labels.name}, SHA-256 {digest.hexdigest()}"
+
+
 @dataclass(frozen=True)
 class Settings:
     """Parameters of `colorize`.
@@ -67,6 +94,8 @@ class Settings:
         slices: (start, stop) of transverse slices to colour, counted from the feet; None for all. Others stay black.
         region: ((k0, k1), (j0, j1), (i0, i1)) voxels of the array to colour, stops not included; None for all. The rest
             stays black, but the whole slice takes part in the matching.
+        body: "auto" finds the body; "all" takes all of the picture; else where the body is: a label volume on the scan's
+            grid, not 0 there, as the path of a file, a `Volume` or an array (k, j, i) of whole numbers or bool.
         plane: "transverse", or "acquired" to take the array's first axis as the stack.
         device: "auto", "cpu", "cuda", "cuda:1", "mps".
         coherence_mm: neighbouring slices share their evidence of colour with a Gaussian of this width along the stack; 0
@@ -89,6 +118,7 @@ class Settings:
     window: tuple[float, float] | None = None
     slices: tuple[int, int] | None = None
     region: tuple[tuple[int, int], tuple[int, int], tuple[int, int]] | None = None
+    body: str | os.PathLike | np.ndarray | Volume | BodyMask = "auto"
     plane: str = "transverse"
     device: str = "auto"
     coherence_mm: float = 8.0
@@ -104,6 +134,7 @@ class Settings:
         _one_of("luminance", self.luminance, LUMINANCE)
         _one_of("plane", self.plane, ("transverse", "acquired"))
         _one_of("reconstruction", self.reconstruction, RECONSTRUCTIONS)
+        object.__setattr__(self, "body", _body(self.body))
         if self.smoother_options is not None:
             object.__setattr__(self, "smoother_options", _smoother_options(self))
         if self.window is not None:
@@ -145,12 +176,13 @@ class Settings:
         return PRESETS[self.preset].gamma if self.gamma is None else self.gamma
 
     def to_dict(self) -> dict:
-        """Plain data, JSON-ready."""
-        return asdict(self)
+        """Plain data, JSON-ready. Of a mask in memory its name and SHA-256."""
+        data = asdict(self)
+        return {**data, "body": str(data["body"])}
 
     @classmethod
     def from_dict(cls, data: dict) -> Settings:
-        """The inverse of `to_dict`.
+        """The inverse of `to_dict`, but for a body that was a mask in memory.
 
         Raises:
             SettingsError: an unknown key or a wrong value.
@@ -160,6 +192,21 @@ class Settings:
         if unknown:
             raise SettingsError(f"settings: unknown {', '.join(unknown)}; known are {', '.join(sorted(known))}")
         return replace(cls(), **data)
+
+
+def _body(value) -> str | BodyMask:
+    if isinstance(value, BodyMask):
+        return value
+    if isinstance(value, Volume):
+        return BodyMask(value, placed=True)
+    if isinstance(value, np.ndarray):
+        try:
+            return BodyMask(Volume(value, name="given"), placed=False)
+        except InputError as error:
+            raise SettingsError(f"body: a mask is an array (k, j, i) of whole numbers or bool; {error}") from error
+    if isinstance(value, (str, os.PathLike)) and str(value):
+        return str(value)
+    raise SettingsError(f"body: expected auto, all, or a label volume (path or array), got {value!r}")
 
 
 def _one_of(name: str, value: object, allowed: tuple[str, ...]) -> None:

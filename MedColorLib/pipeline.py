@@ -16,6 +16,7 @@ from .errors import DeviceError
 from .parameters import Settings
 from .plan import LeftOut, Plan
 from .progress import Progress, Run
+from .run.patient import report_body
 from .run.prepare import Prepared, prepare
 from .volume import ColorVolume, Volume
 
@@ -86,6 +87,8 @@ def colorize(
         store = open_store(prepared, resume)
     for text in prepared.groups.unguarded(prepared.references) if prepared.groups else ():
         log.warning("tissue guard: %s", text)
+    for text in prepared.plan.warnings:
+        log.warning("%s", text)
     if store and store.stored_slices():
         log.info("resume: an interrupted run left %d slices matched; going on from there", store.stored_slices())
     rgb = np.zeros((*volume.array.shape, 3), np.uint8)
@@ -189,6 +192,12 @@ def _greyed(painter: Painter) -> dict[str, float]:
     return greyed
 
 
+def _reported_settings(settings: Settings) -> dict:
+    """Plain data; of a mask's path only the file's name: folders may name patients."""
+    data = settings.to_dict()
+    return {**data, "body": os.path.basename(data["body"])}
+
+
 def _report(prepared: Prepared, engine: Engine, run: Run, painter: Painter) -> dict:
     from .report import environment, peak_memory_mb, voxels_sha256
 
@@ -223,7 +232,7 @@ def _report(prepared: Prepared, engine: Engine, run: Run, painter: Painter) -> d
             for i in used
         },
         "contrast": {engine.references[i].name: engine.references[i].contrast.describe() for i in used},
-        "settings": prepared.settings.to_dict(),
+        "settings": _reported_settings(prepared.settings),
         "plan": prepared.plan.to_dict(),
         "searched": {str(k): v for k, v in engine.searched.items()},
         "deconvolution": engine.reconstruct.report() if engine.reconstruct else None,
@@ -236,6 +245,7 @@ def _report(prepared: Prepared, engine: Engine, run: Run, painter: Painter) -> d
         "lightness_bent_pixels": painter.bent,
         "trusted_fraction": {str(k): v for k, v in painter.trusted.items()},
         "greyed_slices": _greyed(painter),
+        "body": report_body(prepared.body),
         "guard": _guard(prepared, engine, painter),
         "contrast_agreement": {str(k): v for k, v in painter.agreement.items()},
         "environment": environment(prepared.plan.device),

@@ -29,6 +29,7 @@ class Plan:
         left_out: one entry for each thing not done.
         slices: indices of the slices that will be coloured (counted in the order of `order`).
         features, device, smoother: as resolved.
+        warnings: what may go wrong, with the remedy, one sentence each.
     """
 
     steps: dict[str, str]
@@ -37,10 +38,12 @@ class Plan:
     features: str = ""
     device: str = ""
     smoother: str = ""
+    warnings: tuple[str, ...] = ()
 
     def text(self) -> str:
         """For people: one line a step, one line a thing left out."""
         lines = ["Plan"] + [f"  {name:<14} {what}" for name, what in self.steps.items()]
+        lines += [f"Warning: {text}" for text in self.warnings]
         lines.append("Left out")
         for entry in self.left_out:
             error = "" if entry.error == "none" else f" (error: {entry.error})"

@@ -104,7 +104,7 @@ class MedColorLogic(ScriptedLoadableModuleLogic):
 
         result = compute() if run is None else run(compute)
         self._check_still_there(inputVolume, outputVolume, voxels)
-        node = scene.publish(result, inputVolume, outputVolume, dataclasses.asdict(settings))
+        node = scene.publish(result, inputVolume, outputVolume, settings.to_dict())
         rendering.refresh(node)
         _LOG.info("coloured in %.1f s", time.monotonic() - start)
         return node
@@ -152,7 +152,7 @@ class MedColorLogic(ScriptedLoadableModuleLogic):
         plane = ColorVolume(result.rgb[slab].repeat(3, axis=axis), result.ijk_to_ras, result.report)
         offset = tuple(first - (2 - n == axis) for n, first in enumerate(offset))
         name = f"{inputVolume.GetName()} preview"
-        node = scene.publish(plane, inputVolume, previous, dataclasses.asdict(settings), name)
+        node = scene.publish(plane, inputVolume, previous, settings.to_dict(), name)
         node.SetSaveWithScene(False)
         scene.place_part(node, inputVolume, offset)
         return node

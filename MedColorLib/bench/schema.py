@@ -9,6 +9,7 @@ from ..errors import InputError
 from . import (
     machine,
     measures,
+    outline,
     real_volumes,
     regions,
     slabs,
@@ -39,6 +40,7 @@ TABLES = {
     "seen": measures.COLUMNS,
     "seen_regions": measures.REGION_COLUMNS,
     "reference_warnings": measures.WARNING_COLUMNS,
+    "outline": outline.COLUMNS,
     "stages": suite_profile.COLUMNS,
     "machine": machine.COLUMNS,
     "network": suite_profile.NETWORK_COLUMNS,

@@ -16,7 +16,7 @@ import numpy as np
 from ..errors import MedColorError
 from ..parameters import PRESETS
 from ..progress import Progress
-from . import measures, slabs, suite_pipeline
+from . import measures, outline, slabs, suite_pipeline
 from .matched import Matched, Method, Transfer
 from .pairs import REMAPS, Pair, Section, make_pair
 from .quality import baselines, color_errors, color_spill, dark_share
@@ -110,7 +110,8 @@ def run(sections: list[Section], data: Path | None, quick: bool, seed: int, prog
     _share_times(table)
     if (verdicts := beaten(table)).rows:
         suite.tables = {"beaten": verdicts, **suite.tables}
-    slabs.run(suite, data, quick, lambda fraction, text: progress(0.4 + 0.1 * fraction, text))
+    outline.run(suite, data, quick, lambda fraction, text: progress(0.4 + 0.03 * fraction, text))
+    slabs.run(suite, data, quick, lambda fraction, text: progress(0.43 + 0.07 * fraction, text))
     measures.run(suite, data, quick, lambda fraction, text: progress(0.5 + 0.5 * fraction, text))
     return suite
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from ..parameters import PRESETS
 from .measures import AT_LEAST, DEFAULT
+from .outline import BESIDE_TARGET, LEFT_BLACK_TARGET, WORST_TARGET
 from .pairs import REMAPS
 from .tables import Suite, Table
 
@@ -81,6 +82,7 @@ def all_targets(suites: dict[str, Suite]) -> Table:
         if row["what"].startswith("extractor"):
             found.append(("VGG-19: times the bare forward pass", row["ratio"], NETWORK_TARGET))
     found += _speed(tables["volumes"]) if "volumes" in tables else []
+    found += _outline(tables["outline"]) if "outline" in tables else []
     if "memory" in tables:
         grown = tables["memory"].where()[-1]
         name = f"memory of {grown['slices']} slices beyond input and output: growth in MB"
@@ -116,6 +118,18 @@ def _add_slice_time(table: Table, improvements: Table | None, features: set[str]
             name = f"default ({row['features']}): seconds a slice of 256 x 256"
             table.add(target=name, value=row["seconds"], limit=SLICE_TARGET_S, met=row["seconds"] <= SLICE_TARGET_S)
             return
+
+
+def _outline(table: Table) -> list[tuple[str, float, float]]:
+    """Targets of the body's outline on each volume: what, value, limit."""
+    names = {
+        "left_black": ("clear tissue left black", LEFT_BLACK_TARGET),
+        "worst": ("clear tissue left black in the worst slice", WORST_TARGET),
+        "beside_body": ("coloured voxels beside the body", BESIDE_TARGET),
+    }
+    return [
+        (f"{row['volume']}: {text}", row[name], limit) for row in table.where() for name, (text, limit) in names.items()
+    ]
 
 
 def _speed(volumes: Table) -> list[tuple[str, float, float]]:

@@ -7,11 +7,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..errors import InputError, SettingsError
+from ..errors import SettingsError
 
 if TYPE_CHECKING:
     from ..matching.tissue_guard import Guard
-    from ..volume import Volume
 
 
 def add_guard(add: Callable) -> None:
@@ -42,6 +41,7 @@ def guard_of(arguments) -> Guard | None:
         if arguments.reference_labels or arguments.label_group:
             raise SettingsError("--reference-labels and --label-group belong to a label volume; name it with --labels")
         return None
+    from ..io.label_volume import read_labels
     from ..matching.tissue_guard import Guard
 
     groups: dict[int, int] = {}
@@ -51,28 +51,7 @@ def guard_of(arguments) -> Guard | None:
                 raise SettingsError(f"--label-group: label {label} is in two groups; name it once")
             groups[label] = labels[0]
     pictures = arguments.reference_labels
-    return Guard(_read_labels(Path(arguments.labels)), pictures and [None if p == "-" else p for p in pictures], groups)
-
-
-def _read_labels(path: Path) -> Volume:
-    """A label volume in any format that an input may have; a segmentation with layers is refused by name."""
-    from ..io.files import read_volume
-
-    if path.suffix.lower() in (".nrrd", ".nhdr") and path.is_file() and _has_layers(path):
-        raise InputError(
-            f"{path.name}: a segmentation of several layers, its segments overlap; export it as one label map (in Slicer: "
-            "Segmentations, Export to new labelmap) on the volume's grid"
-        )
-    return read_volume(path)
-
-
-def _has_layers(path: Path) -> bool:
-    from ..io.nrrd import nrrd_header
-
-    try:
-        return nrrd_header(path).get("dimension") == 4
-    except (InputError, OSError):  # reading says what is wrong
-        return False
+    return Guard(read_labels(Path(arguments.labels)), pictures and [None if p == "-" else p for p in pictures], groups)
 
 
 def _labels(text: str) -> list[int]:

@@ -51,6 +51,7 @@ def _settings(arguments) -> Settings:
         "lightness",
         "reconstruction",
         "slices",
+        "body",
         "plane",
         "device",
         "seed",

@@ -50,8 +50,12 @@ def _add_colorize(commands) -> None:
     add = command.add_argument
     add("input", metavar="INPUT", help="NRRD, MetaImage, NIfTI, DICOM folder, or folder of PNG/TIFF slices")
     add("-o", "--output", metavar="OUT", help="result: .nrrd or .nii.gz (not needed with --plan)")
+<<<<<<< HEAD
     add("--volume", dest="number", type=int, metavar="N", help=_WHICH)
     _add_settings(add)
+=======
+    _add_settings(add, "where the body is: found (default), all of the picture, or a label volume on the input's grid")
+>>>>>>> body
     add(
         "--resume",
         action="store_true",
@@ -77,14 +81,14 @@ def _add_batch(commands) -> None:
     add = command.add_argument
     add("input", type=Path, metavar="IN_FOLDER", help="folder with volume files and DICOM folders, at any depth")
     add("-o", "--output", type=Path, required=True, metavar="OUT_FOLDER", help="results, reports and batch.json")
-    _add_settings(add)
+    _add_settings(add, "where the body is: found (default) or all of the picture")
     where = command.add_mutually_exclusive_group()
     where.add_argument("--workers", type=int, default=1, metavar="N", help="processes (default: %(default)s)")
     where.add_argument("--scheduler", metavar="ADDRESS", help="work on this Dask cluster, such as tcp://host:8786")
     command.set_defaults(run="batch", interrupted="interrupted; finished volumes are kept, the same command goes on")
 
 
-def _add_settings(add: Callable) -> None:
+def _add_settings(add: Callable, body_help: str) -> None:
     """The options that say how a volume is coloured."""
     add(
         "-r",
@@ -131,6 +135,7 @@ def _add_settings(add: Callable) -> None:
         help="features one layer down (default: %(default)s)",
     )
     add("--window", nargs=2, type=float, metavar=("LO", "HI"), help="values shown black and white")
+    add("--body", default="auto", metavar="BODY", help=body_help)
     add("--slices", type=_slice_range, metavar="A:B", help="transverse slices from A up to B, counted from the feet")
     add("--region", nargs=6, type=int, metavar=("K0", "K1", "J0", "J1", "I0", "I1"), help="voxels to colour")
     add(

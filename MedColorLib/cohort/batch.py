@@ -219,6 +219,8 @@ def make_tasks(
     from ..references.loading import load_references
 
     results = Path(output_folder).resolve()
+    if settings.body not in ("auto", "all"):
+        raise SettingsError("body: a mask belongs to one volume; colour that one by itself, or take auto or all")
     settings = replace(settings, features=choose_features(settings.features))
     pictures = load_references(references)
     expected = {

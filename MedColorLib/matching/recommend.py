@@ -138,8 +138,10 @@ class Recommender:
 
         if self._seen is None or self._seen[0] is not volume:
             check_values(volume.array, volume.name)
-            view = planes_of(slice_order(volume.ijk_to_ras).view(volume.array))
-            self._seen = (volume, view, find_body(view))
+            order = slice_order(volume.ijk_to_ras)
+            view = planes_of(order.view(volume.array))
+            _, *pixel_mm = (float(volume.spacing_mm[2 - axis]) for axis in order.axes)
+            self._seen = (volume, view, find_body(view, tuple(pixel_mm)))
         return self._seen[1:]
 
 

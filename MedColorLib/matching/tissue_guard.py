@@ -19,6 +19,7 @@ import numpy as np
 
 from ..errors import InputError, SettingsError
 from ..io.label_picture import read_label_picture
+from ..io.label_volume import HIGHEST_LABEL, present_labels, require_scan_grid
 from ..parameters import Settings
 from ..references.photograph import Reference
 from ..scan.grid import MARGIN, Grid, to_grid
@@ -27,10 +28,8 @@ from ..scan.slices import SliceOrder
 from ..volume import Volume
 
 MOST_GROUPS = 16  # each of them has its own evidence, in memory and in time
-HIGHEST_LABEL = 65535
 OTHER = 255  # index of pixels whose group the volume does not have
 NOWHERE = 254  # of raster pixels outside the body's box or the reference's tissue
-SAME_PLACE = 0.01  # voxels by which the corners of two grids may differ: file formats round geometry to float32
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +61,7 @@ class Guard:
             one = isinstance(given, (str, Path)) or (isinstance(given, np.ndarray) and given.ndim == 2)
             object.__setattr__(self, "reference_labels", (given,) if one else tuple(given))
         object.__setattr__(self, "groups", _checked_groups(self.groups or {}))
-        for label in _labels_of(self.labels):
+        for label in present_labels(self.labels, "tissue guard"):
             group = self.groups.get(label, label)
             self.members[group] = (*self.members.get(group, ()), label)
         object.__setattr__(self, "present", tuple(sorted(self.members)))
@@ -180,7 +179,7 @@ def prepare_guard(
             "would spread colour across labels; use smoother regression, or fgs, domain-transform or wls with preset draft "
             "or balanced"
         )
-    _check_grid(guard.labels, volume)
+    require_scan_grid(guard.labels, volume, "tissue guard")
     table = guard.table
     given = guard.reference_labels or (None,) * len(references)
     if len(given) != len(references):
@@ -264,37 +263,6 @@ def _cut(labels, reference: Reference) -> np.ndarray:
     inner = frame.cut(values).astype(np.int64)
     rows, cols = (((np.arange(n) + 0.5) * size / n).astype(int) for n, size in zip(reference.mask.shape, inner.shape))
     return inner[np.ix_(rows, cols)]
-
-
-def _check_grid(labels: Volume, volume: Volume) -> None:
-    if labels.array.shape != volume.array.shape:
-        sizes = [" x ".join(map(str, v.array.shape)) for v in (labels, volume)]
-        raise InputError(
-            f"tissue guard: {labels.name} has {sizes[0]} voxels (k, j, i), {volume.name} has {sizes[1]}; resample the labels "
-            "onto the volume's grid (nearest neighbour)"
-        )
-    corners = np.array([[i, j, k, 1.0] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
-    corners[:, :3] *= np.array(volume.array.shape[::-1]) - 1
-    apart = np.linalg.norm(((labels.ijk_to_ras - volume.ijk_to_ras) @ corners.T)[:3], axis=0).max()
-    if apart > SAME_PLACE * volume.spacing_mm.min():
-        raise InputError(
-            f"tissue guard: the voxels of {labels.name} lie up to {apart:.3g} mm from those of {volume.name}; resample the "
-            "labels onto the volume's grid (nearest neighbour)"
-        )
-
-
-def _labels_of(labels: Volume) -> list[int]:
-    """The labels that a volume holds, ascending."""
-    seen = np.zeros(HIGHEST_LABEL + 1, bool)
-    for plane in labels.array:
-        whole = plane.dtype.kind in "iub" or bool(np.isfinite(plane).all() and (plane == np.rint(plane)).all())
-        if not whole or plane.min() < 0 or plane.max() > HIGHEST_LABEL:
-            raise InputError(
-                f"tissue guard: {labels.name} holds values that are no labels; expected whole numbers from 0 to "
-                f"{HIGHEST_LABEL}, as in a segmentation's label map"
-            )
-        seen[plane.astype(np.intp)] = True
-    return np.flatnonzero(seen).tolist()
 
 
 def _checked_groups(groups: Mapping[int, int]) -> dict[int, int]:

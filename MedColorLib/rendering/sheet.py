@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from ..errors import OutputError, SettingsError
+from ..scan.intensity import apply_window, choose_window
 from ..volume import ColorVolume, Volume
 from .grid import (
     VOXEL_BUDGET,
@@ -22,7 +25,7 @@ from .grid import (
 from .layout import PANEL_RGB, Sheet
 from .offscreen import Camera, Stage
 from .presets import DEFAULT_OPACITY, opacity_curve
-from .sections import section_frame, sections
+from .sections import MAX_SECTION_SIDE, SectionFrame, section_frame, sections
 from .views import camera_for, corner_cut
 
 FOOTNOTE = "Illustration: colours are not a measurement"
@@ -39,6 +42,7 @@ _VIEWS = (
 _SECTIONS = (("transverse", ("R", "L")), ("coronal", ("R", "L")), ("sagittal", ("A", "P")))
 
 _SUPERSAMPLING = 1.5  # smooth edges for 2.25 times the work
+_VISIBLE = 32  # of 255: darker is noise and air, no reason for a larger frame
 _VIEW_FILL = 0.86  # leaves room for the label
 
 
@@ -56,8 +60,8 @@ def contact_sheet(
     """Three views and three sections; each of the grey volume beside its coloured version.
 
     Args:
-        grey: the volume that was coloured, shown where `color` is not black, so that table and air do not hide the
-            body. None leaves the grey half out.
+        grey: the volume that was coloured, shown whole, with what was left out of the body. None leaves the grey half
+            out.
         color: RGB volume.
         size: (width, height) in pixels.
         window: (low, high) for grey scalars; without it the file's own, else robust percentiles inside the body.
@@ -87,7 +91,8 @@ def contact_sheet(
         require_same_grid(grey, color)
     if frame is None:
         return sheet.picture
-    volumes = _body_only(grey, color, window)
+    volumes = _shown(grey, color, window)
+    frame = _widened(frame, volumes[0])
     planes = _trimmed([sections(volume, frame=frame) for volume in volumes])
     views = _draw_views(volumes, np.asarray(frame.centre), sheet.panel_size, opacity, voxel_budget)
     for panel in range(len(volumes)):
@@ -160,31 +165,63 @@ def _check_sheet_size(size: tuple[int, int]) -> None:
         )
 
 
-def _body_only(
+def _shown(
     grey: Volume | ColorVolume | None, color: ColorVolume, window: tuple[float, float] | None
 ) -> list[ColorVolume]:
-    """The volumes to draw, cropped to the body: the grey one as RGB, black where `color` is, and `color`."""
+    """The volumes to draw, cropped to what can be seen of either: the grey one as RGB, whole, and `color`.
+
+    The scan is never cut by the colours' outline: what was left out of the body has to be seen beside them.
+    """
     box = tissue_box(color.rgb)
-    matrix = shifted(color.ijk_to_ras, tuple(s.start for s in box[::-1]))
-    body = ColorVolume(color.rgb[box], matrix)
     if grey is None:
-        return [body]
+        return [ColorVolume(color.rgb[box], _matrix(color, box))]
     if isinstance(grey, Volume):
-        mask = np.stack([not_black(plane) for plane in body.rgb])
-        scalars = Volume(grey.array[box], matrix, grey.window, grey.name)
-        shown = grey_color_volume(scalars, window, mask).rgb
+        body = np.stack([not_black(plane) for plane in color.rgb[box]])  # where its window is taken from, nothing else
+        chosen = choose_window(grey.array[box], body, given=window, proposed=grey.window)
+        box = _joined(box, _visible_box(apply_window(plane, chosen) > _VISIBLE / 255 for plane in grey.array))
+        scalars = Volume(grey.array[box], _matrix(color, box), name=grey.name)
+        left = grey_color_volume(scalars, (chosen.low, chosen.high))
     else:
-        shown = grey.rgb[box].copy()
-    for k, plane in enumerate(body.rgb):
-        shown[k] *= not_black(plane)[..., None]
-    return [ColorVolume(shown, matrix), body]
+        box = _joined(box, _visible_box(plane.max(axis=-1) > _VISIBLE for plane in grey.rgb))
+        left = ColorVolume(grey.rgb[box], _matrix(color, box))
+    return [left, ColorVolume(color.rgb[box], _matrix(color, box))]
+
+
+def _widened(frame: SectionFrame, volume: ColorVolume) -> SectionFrame:
+    """The frame, around all of a volume, its planes where they were."""
+    corners = np.array([[i, j, k, 1.0] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
+    corners[:, :3] = corners[:, :3] * np.array(volume.rgb.shape[2::-1]) - 0.5
+    points = (corners @ volume.ijk_to_ras.T)[:, :3]
+    low, high = np.minimum(frame.low, points.min(axis=0)), np.maximum(frame.high, points.max(axis=0))
+    pixel_mm = max(frame.pixel_mm, float((high - low).max()) / MAX_SECTION_SIDE)
+    return replace(frame, low=low, high=high, pixel_mm=pixel_mm)
+
+
+def _matrix(color: ColorVolume, box: tuple[slice, slice, slice]) -> np.ndarray:
+    return shifted(color.ijk_to_ras, tuple(s.start for s in box[::-1]))
+
+
+def _visible_box(masks: Iterable[np.ndarray]) -> tuple[slice, slice, slice] | None:
+    """Smallest box (slices along k, j, i) that holds all of the masks of planes (j, i); None where they are empty."""
+    profiles = [(mask.any(axis=1), mask.any(axis=0)) for mask in masks]
+    rows, cols = (np.any([profile[axis] for profile in profiles], axis=0) for axis in (0, 1))
+    planes = [profile[0].any() for profile in profiles]
+    ends = [np.flatnonzero(profile) for profile in (planes, rows, cols)]
+    return tuple(slice(int(end[0]), int(end[-1]) + 1) for end in ends) if rows.any() else None
+
+
+def _joined(box: tuple[slice, slice, slice], other: tuple[slice, slice, slice] | None) -> tuple[slice, slice, slice]:
+    if other is None:
+        return box
+    return tuple(slice(min(a.start, b.start), max(a.stop, b.stop)) for a, b in zip(box, other))
 
 
 def _trimmed(planes: list[dict[str, np.ndarray]]) -> list[dict[str, np.ndarray]]:
-    """All sections cut to what is not black in the last (coloured) ones: the frame is as wide as the whole body."""
+    """All sections cut to what can be seen in any of them; both of a kind keep one frame."""
     boxes = {}
-    for name, picture in planes[-1].items():
-        mask = not_black(picture)
+    for name in planes[0]:
+        mask = np.any([some[name].max(axis=-1) > _VISIBLE for some in planes], axis=0)
+        mask |= not_black(planes[-1][name])
         ends = [np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0)]
         if all(end.size for end in ends):
             boxes[name] = tuple(slice(end[0], end[-1] + 1) for end in ends)
@@ -198,14 +235,14 @@ def _draw_views(
     opacity: float,
     voxel_budget: int,
 ) -> list[list[np.ndarray]]:
-    """For each volume its three views, all with the cameras that suit the last (coloured) one."""
+    """For each volume its three views, all with the cameras that suit the first one: a scan shows all that the colours do."""
     import cv2
 
     size = tuple(round(_SUPERSAMPLING * n) for n in panel_size)
     pictures = [[np.zeros((*panel_size[::-1], 3), dtype=np.uint8)] * len(_VIEWS) for _ in volumes]
     cameras: list[Camera | None] = []
     with Stage(size, PANEL_RGB) as stage:
-        for v in reversed(range(len(volumes))):
+        for v in range(len(volumes)):
             whole = prepare_grid(volumes[v], voxel_budget)
             for n, (_, view, towards) in enumerate(_VIEWS):
                 if whole is None:

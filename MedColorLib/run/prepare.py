@@ -16,12 +16,13 @@ from ..parameters import PRESETS, Settings
 from ..plan import LeftOut, Plan
 from ..references.loading import describe_references, load_references
 from ..references.photograph import Reference
-from ..scan.body import Body, find_body
+from ..scan.body import Body
 from ..scan.grid import Grid, choose_grid
 from ..scan.intensity import Window, check_values, choose_window
 from ..scan.planes import PlaneBlocks, planes_of
 from ..scan.slices import SliceOrder, sample_slices, slice_order
 from ..volume import Volume
+from .patient import choose_body, describe_body
 
 
 @dataclass(frozen=True)
@@ -76,7 +77,7 @@ def prepare(
     view = planes_of(order.view(volume.array))
     grid = choose_grid(PRESETS[settings.preset].grid_px)
     groups = guard and prepare_guard(guard, volume, prepared_references, settings, order, grid)
-    body = find_body(view)
+    body = choose_body(view, volume, settings, order)
     chosen = _chosen_slices(body, settings, order, volume.array.shape)
     window = _window(view, body, chosen, volume, settings)
     repeats = _repeats([view, groups.view] if groups else [view], chosen)
@@ -142,7 +143,7 @@ def _plan(volume, settings, order, view, body, chosen, window, references, grid,
     steps = {
         "volume": f"{volume.name}, {shape} (k, j, i) {volume.array.dtype.name}; {order.describe()}",
         "window": f"{window.low:g} to {window.high:g} ({window.source})",
-        "body": f"{len(chosen)} of {len(view)} slices, values above {body.threshold:g}",
+        "body": describe_body(body, len(chosen)),
         "references": describe_references(references),
         "features": f"{network}{auto}, {layers}, raster {grid.height} x {grid.width}, on {device}",
         "matching": f"both directions, exhaustive{searched}",
@@ -151,7 +152,8 @@ def _plan(volume, settings, order, view, body, chosen, window, references, grid,
         "colour": f"{smoother}, {_smoother_values(settings)}; luminance {luminance}; gamma {gamma}",
     }
     left_out = _left_out(settings, preset, smoother, features, view, body, chosen, references, repeats, cropped)
-    return Plan(steps, left_out, tuple(chosen), features, device, smoother)
+    warnings = tuple(filter(None, [body.left_outside and body.left_outside.warning()]))
+    return Plan(steps, left_out, tuple(chosen), features, device, smoother, warnings)
 
 
 def _smoother_values(settings: Settings) -> str:

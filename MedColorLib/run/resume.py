@@ -188,6 +188,7 @@ def run_key(prepared: Prepared) -> str:
         "references": [[_sha256(r.rgb), _sha256(r.mask), r.rgb.shape] for r in prepared.references],
         "guard": prepared.groups and prepared.groups.identity(),
         "settings": prepared.settings.to_dict(),
+        "body": None if prepared.body.given is None else voxels_sha256(prepared.body.given),
         "preset": asdict(PRESETS[prepared.settings.preset]),
         "resolved": [plan.features, plan.device, plan.smoother],
         "weights": weights_sha256(plan.features),

@@ -20,9 +20,10 @@ from volume_samples import LPS, save_nrrd
 from MedColorLib import ColorVolume, Settings, colorize, read_volume, write_color_volume
 from MedColorLib.io import dicom as dicom_series
 from MedColorLib.report import voxels_sha256
-from MedColorLib.scan import body as body_stage
-from MedColorLib.scan.body import _largest_parts, find_body
+from MedColorLib.scan import parts, reduced
+from MedColorLib.scan.body import find_body
 from MedColorLib.scan.intensity import choose_window, strided
+from MedColorLib.scan.parts import _find_parts
 
 ROOT = Path(__file__).resolve().parents[2]
 DRAFT = Settings(preset="draft", features="embedded", device="cpu", slices=(2, 5))
@@ -152,21 +153,23 @@ class TestSamples:
 def test_parts_found_by_planes_are_those_of_the_stack(rng):
     for _ in range(200):
         mask = rng.random((rng.integers(1, 6), *rng.integers(1, 12, 2))) < rng.choice([0.0, 0.05, 0.3, 0.5, 0.8])
+        found = _find_parts(mask * parts.TISSUE, 1)
         labels, _ = ndimage.label(mask)
-        sizes = np.bincount(labels.ravel())[1:]
-        expected = np.isin(labels, 1 + np.flatnonzero(sizes >= 0.1 * sizes.max())) if sizes.size else mask
-        np.testing.assert_array_equal(_largest_parts(mask), expected)
+        assert sorted(found.size) == sorted(np.bincount(labels.ravel())[1:])
+        flags = mask * parts.TISSUE
+        parts._select(flags, found, found.size >= 4)
+        np.testing.assert_array_equal((flags & parts.BODY) > 0, mask & (np.bincount(labels.ravel()) >= 4)[labels])
 
 
 class TestPeak:
-    def test_outline_takes_three_bytes_for_a_pixel_of_its_raster(self, monkeypatch):
-        """Mask, opened mask and largest parts; a stack of labels or floats would be 8 to 19 bytes."""
-        monkeypatch.setattr(body_stage, "strided", lambda array: strided(array, 1000))
+    def test_outline_takes_two_bytes_for_a_pixel_of_its_raster(self, monkeypatch):
+        """Flags and mask; a stack of labels or floats would be 8 to 19 bytes."""
+        monkeypatch.setattr(reduced, "_SAMPLE", 1000)
         rows, cols = np.mgrid[:128, :128] - 63.5
         body = np.hypot(rows, cols) < 50
         stack = np.broadcast_to(body.astype(np.uint8), (480, 128, 128))
         peaks = [peak_bytes(lambda n=n: find_body(stack[:n])) for n in (240, 480)]
-        assert peaks[1] - peaks[0] < 3.5 * 240 * 128 * 128
+        assert peaks[1] - peaks[0] < 2.5 * 240 * 128 * 128
 
     @pytest.mark.parametrize("ending", [".nrrd", ".nii", ".nii.gz"])
     def test_writing_does_not_copy_the_result(self, ending, tmp_path):

@@ -128,7 +128,7 @@ def test_a_recommender_answers_as_one_call_does_and_describes_nothing_again(ct, 
 
     outlined = []
     find_body = body.find_body
-    monkeypatch.setattr(body, "find_body", lambda view: outlined.append(view) or find_body(view))
+    monkeypatch.setattr(body, "find_body", lambda view, *rest: outlined.append(view) or find_body(view, *rest))
     one = Recommender(library, "embedded", "cpu")
     for volume, k in ((ct.volume, 3), (ct.volume, 7), (ct.volume, None), (mr.volume, 7)):
         found = one.recommend(volume, slice_index=k)

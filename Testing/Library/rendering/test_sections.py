@@ -181,3 +181,19 @@ def test_an_error_of_the_driver_is_raised(gl, monkeypatch, pair):
     monkeypatch.setattr(presets, "NORMAL_FROM_ALPHA", "this is no shader")
     with pytest.raises(DeviceError, match="driver failed"):
         view(pair[1])
+
+
+def test_the_sheet_shows_the_scan_whole(gl, pair):
+    """What the colours left out of the body stands beside them: half of a ball is black, the scan's is not."""
+    grey, color = pair
+    lost = color.rgb.copy()
+    lost[:, :, : lost.shape[2] // 2] = 0
+    halves = []
+    for rgb in (color.rgb, lost):
+        picture = contact_sheet(grey, ColorVolume(rgb, color.ijk_to_ras), size=(800, 600), centre=None)
+        panels = sheet.Sheet((800, 600), (2, 3), ("a", "b"), "")
+        width, height = panels.panel_size
+        x, y = panels._corner(3, 0)  # the coronal section of the scan
+        part = picture[y : y + height, x : x + width]
+        halves.append(np.count_nonzero(part.max(axis=-1) > 60))
+    assert halves[1] > 0.9 * halves[0]
