@@ -189,6 +189,12 @@ def _greyed(painter: Painter) -> dict[str, float]:
     return greyed
 
 
+def _settings(settings: Settings) -> dict:
+    """Settings for the report, which names files without their folders."""
+    masks = settings.reference_masks
+    return {**settings.to_dict(), "reference_masks": masks and [mask and os.path.basename(mask) for mask in masks]}
+
+
 def _report(prepared: Prepared, engine: Engine, run: Run, painter: Painter) -> dict:
     from .report import environment, peak_memory_mb, voxels_sha256
 
@@ -210,6 +216,8 @@ def _report(prepared: Prepared, engine: Engine, run: Run, painter: Painter) -> d
                 "sha256": hashlib.sha256(r.rgb.tobytes()).hexdigest(),
                 "removed_fraction": r.removed,
                 "credit": r.credit,
+                "notes": list(r.notes),
+                "exposure": {"gain": round(r.exposure.gain, 4), "white": [round(f, 4) for f in r.exposure.white]},
             }
             for r in prepared.references
         ],
@@ -223,7 +231,7 @@ def _report(prepared: Prepared, engine: Engine, run: Run, painter: Painter) -> d
             for i in used
         },
         "contrast": {engine.references[i].name: engine.references[i].contrast.describe() for i in used},
-        "settings": prepared.settings.to_dict(),
+        "settings": _settings(prepared.settings),
         "plan": prepared.plan.to_dict(),
         "searched": {str(k): v for k, v in engine.searched.items()},
         "seconds": {

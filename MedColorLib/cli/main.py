@@ -41,6 +41,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _settings(arguments) -> Settings:
     names = ("preset", "features", "smoother", "luminance", "reconstruction", "slices", "plane", "device", "seed")
+    names += ("exposure", "reference_masks")
     options = {name: getattr(arguments, name) for name in names}
     options["smoother_options"] = dict(arguments.smoother_option) if arguments.smoother_option else None
     ranges = arguments.region

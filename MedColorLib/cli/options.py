@@ -85,6 +85,21 @@ def _add_settings(add: Callable) -> None:
         metavar="REF",
         help="colour picture, folder of them, colour volume, or a library's name; may be repeated",
     )
+    add(
+        "--reference-mask",
+        action="append",
+        dest="reference_masks",
+        metavar="FILE",
+        help="picture of what is tissue in a reference (white, or not transparent), a folder of them for a folder; one for "
+        "each -r in their order, or the word auto (default: found, or the picture's own transparency)",
+    )
+    add(
+        "--exposure",
+        type=_exposure,
+        default="auto",
+        metavar="auto|off|GAIN",
+        help="brightness and white balance of references: brought to the usual, left, or this gain (default: %(default)s)",
+    )
     add("--preset", choices=tuple(PRESETS), default="balanced", help="how deep to go (default: %(default)s)")
     add(
         "--features",
@@ -225,6 +240,13 @@ def _named_value(text: str) -> tuple[str, int | float | str]:
         except ValueError:
             continue
     return name.strip(), value.strip()
+
+
+def _exposure(text: str) -> str | float:
+    try:
+        return text if text in ("auto", "off") else float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"expected auto, off or a gain such as 1.5, got {text!r}") from None
 
 
 def _slice_range(text: str) -> tuple[int, int]:
