@@ -148,6 +148,11 @@ def rectangularity(part: np.ndarray) -> tuple[float, float]:
     return float(np.count_nonzero(part) / sides.prod()), float(sides.max() / sides.min())
 
 
+def _edges(mask: np.ndarray) -> np.ndarray:
+    """The outermost pixels, one after the other."""
+    return np.concatenate([mask[0], mask[-1], mask[:, 0], mask[:, -1]])
+
+
 def _border_width(shape: tuple[int, int]) -> int:
     return max(2, round(BORDER * max(shape)))
 
@@ -253,7 +258,7 @@ def _holds_a_body(inside: np.ndarray) -> bool:
     )
     hull = cv2.contourArea(cv2.convexHull(max(outlines, key=len)))
     share, largest, convex = inside.mean(), sizes.max() / sizes.sum(), sizes.max() / max(hull, 1)
-    edge = np.concatenate([inside[0], inside[-1], inside[:, 0], inside[:, -1]]).mean()
+    edge = _edges(inside).mean()
     if share > 0.28:
         return bool(largest > 0.67 and convex > 0.75 and edge < 0.2)
     return bool(share > 0.05 and largest > 0.95 and convex > 0.9 and edge < 0.05)
@@ -328,7 +333,8 @@ def _peel(lab: np.ndarray, outside: np.ndarray) -> Surroundings | None:
         return None
     names, centres = _clusters(lab[ring], 5)
     share = np.bincount(names, minlength=len(centres)) / names.size
-    block = rectangularity(ndimage.binary_fill_holes(main))[0] > 0.9
+    # what the frame cuts straight is no block
+    block = _edges(main).mean() < 0.05 and rectangularity(ndimage.binary_fill_holes(main))[0] > 0.9
     clear = of_no_tissue(centres) | (without_hue(centres) & block)
     chosen = np.flatnonzero(clear)
     if block:
