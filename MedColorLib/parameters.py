@@ -106,6 +106,10 @@ class Settings:
         reconstruction: how features come one layer down: "warp" (the reference's own finer features) or "lbfgs" (the
             deconvolution of Liao et al.).
         batch: slices that go through the network together.
+        exposure: "auto" brings the tissue of the references to one brightness and neutral light, "off" leaves them; a number
+            (0.1 to 10) is the gain in linear light.
+        reference_masks: paths of pictures that say what is tissue in the references, one for each in their order ("auto" or
+            None: found); for a folder a folder of masks. None: found in all.
     """
 
     preset: str = "balanced"
@@ -126,6 +130,8 @@ class Settings:
     seed: int = 0
     reconstruction: str = "warp"
     batch: int = 4
+    exposure: str | float = "auto"
+    reference_masks: tuple[str | None, ...] | None = None
 
     def __post_init__(self) -> None:
         _one_of("preset", self.preset, tuple(PRESETS))
@@ -147,6 +153,9 @@ class Settings:
             raise SettingsError(
                 f"lightness: expected a number from 0 (the scan's) to 1 (the reference's), got {self.lightness!r}"
             )
+        object.__setattr__(self, "exposure", _exposure(self.exposure))
+        if self.reference_masks is not None:
+            object.__setattr__(self, "reference_masks", _masks(self.reference_masks))
         if not (math.isfinite(self.coherence_mm) and 0 <= self.coherence_mm <= 1000):
             raise SettingsError(f"coherence_mm: expected 0 to 1000 mm, got {self.coherence_mm!r}")
         if not isinstance(self.seed, int) or not 0 <= self.seed < 2**63:
@@ -249,3 +258,23 @@ def _range(value) -> tuple[int, int]:
     if not 0 <= start < stop:
         raise SettingsError(f"slices: expected 0 <= START < STOP, got {start}:{stop}")
     return start, stop
+
+
+def _exposure(value) -> str | float:
+    if value in ("auto", "off"):
+        return value
+    try:
+        gain = float(value)
+    except (TypeError, ValueError):
+        gain = math.nan
+    if isinstance(value, bool) or not 0.1 <= gain <= 10:
+        raise SettingsError(f"exposure: expected auto, off or a gain from 0.1 to 10, got {value!r}")
+    return gain
+
+
+def _masks(value) -> tuple[str | None, ...]:
+    if isinstance(value, (str, os.PathLike)):
+        value = (value,)
+    if not all(mask is None or isinstance(mask, (str, os.PathLike)) for mask in value):
+        raise SettingsError("reference_masks: expected paths of pictures, one for each reference")
+    return tuple(None if mask is None else os.fspath(mask) for mask in value)

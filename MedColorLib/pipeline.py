@@ -193,9 +193,10 @@ def _greyed(painter: Painter) -> dict[str, float]:
 
 
 def _reported_settings(settings: Settings) -> dict:
-    """Plain data; of a mask's path only the file's name: folders may name patients."""
-    data = settings.to_dict()
-    return {**data, "body": os.path.basename(data["body"])}
+    """Plain data; of paths only the file's name: folders may name patients."""
+    data, masks = settings.to_dict(), settings.reference_masks
+    shown = masks and [mask and os.path.basename(mask) for mask in masks]
+    return {**data, "body": os.path.basename(data["body"]), "reference_masks": shown}
 
 
 def _report(prepared: Prepared, engine: Engine, run: Run, painter: Painter) -> dict:
@@ -219,6 +220,8 @@ def _report(prepared: Prepared, engine: Engine, run: Run, painter: Painter) -> d
                 "sha256": hashlib.sha256(r.rgb.tobytes()).hexdigest(),
                 "removed_fraction": r.removed,
                 "credit": r.credit,
+                "notes": list(r.notes),
+                "exposure": {"gain": round(r.exposure.gain, 4), "white": [round(f, 4) for f in r.exposure.white]},
             }
             for r in prepared.references
         ],

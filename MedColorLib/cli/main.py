@@ -55,6 +55,8 @@ def _settings(arguments) -> Settings:
         "plane",
         "device",
         "seed",
+        "exposure",
+        "reference_masks",
     )
     options = {name: getattr(arguments, name) for name in names}
     options["smoother_options"] = dict(arguments.smoother_option) if arguments.smoother_option else None

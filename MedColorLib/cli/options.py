@@ -50,12 +50,8 @@ def _add_colorize(commands) -> None:
     add = command.add_argument
     add("input", metavar="INPUT", help="NRRD, MetaImage, NIfTI, DICOM folder, or folder of PNG/TIFF slices")
     add("-o", "--output", metavar="OUT", help="result: .nrrd or .nii.gz (not needed with --plan)")
-<<<<<<< HEAD
     add("--volume", dest="number", type=int, metavar="N", help=_WHICH)
-    _add_settings(add)
-=======
     _add_settings(add, "where the body is: found (default), all of the picture, or a label volume on the input's grid")
->>>>>>> body
     add(
         "--resume",
         action="store_true",
@@ -97,6 +93,21 @@ def _add_settings(add: Callable, body_help: str) -> None:
         required=True,
         metavar="REF",
         help="colour picture, folder of them, colour volume, or a library's name; may be repeated",
+    )
+    add(
+        "--reference-mask",
+        action="append",
+        dest="reference_masks",
+        metavar="FILE",
+        help="picture of what is tissue in a reference (white, or not transparent), a folder of them for a folder; one for "
+        "each -r in their order, or the word auto (default: found, or the picture's own transparency)",
+    )
+    add(
+        "--exposure",
+        type=_exposure,
+        default="auto",
+        metavar="auto|off|GAIN",
+        help="brightness and white balance of references: brought to the usual, left, or this gain (default: %(default)s)",
     )
     add("--preset", choices=tuple(PRESETS), default="balanced", help="how deep to go (default: %(default)s)")
     add(
@@ -254,6 +265,13 @@ def _named_value(text: str) -> tuple[str, int | float | str]:
         except ValueError:
             continue
     return name.strip(), value.strip()
+
+
+def _exposure(text: str) -> str | float:
+    try:
+        return text if text in ("auto", "off") else float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"expected auto, off or a gain such as 1.5, got {text!r}") from None
 
 
 def _slice_range(text: str) -> tuple[int, int]:

@@ -222,16 +222,16 @@ def make_tasks(
     if settings.body not in ("auto", "all"):
         raise SettingsError("body: a mask belongs to one volume; colour that one by itself, or take auto or all")
     settings = replace(settings, features=choose_features(settings.features))
-    pictures = load_references(references)
+    pictures = load_references(references, settings.exposure, settings.reference_masks)
     expected = {
         "version": __version__,
-        "settings": _plain(settings.to_dict()),
+        "settings": _plain(replace(settings, reference_masks=None).to_dict()),  # what they mark is in the hashes
         "references": [hashlib.sha256(r.rgb.tobytes() + r.mask.tobytes()).hexdigest() for r in pictures],
         "weights_sha256": weights_sha256(settings.features),
     }
     shared = {
         "references": tuple(str(Path(r).resolve()) if Path(r).exists() else str(r) for r in references),
-        "settings": settings.to_dict(),
+        "settings": replace(settings, reference_masks=_absolute(settings.reference_masks)).to_dict(),
         "store": str(results / _UNFINISHED),
         "store_bytes": resume_bytes,
         "expected": expected,
@@ -247,6 +247,11 @@ def make_tasks(
         )
         for (name, path), stem in zip(found.volumes.items(), _stems(found.volumes))
     ]
+
+
+def _absolute(masks: tuple[str | None, ...] | None) -> tuple[str | None, ...] | None:
+    """The same paths for workers in another folder."""
+    return masks and tuple(str(Path(mask).resolve()) if mask and Path(mask).exists() else mask for mask in masks)
 
 
 def color_file(

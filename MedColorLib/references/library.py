@@ -23,6 +23,7 @@ import numpy as np
 
 from ..errors import Cancelled, InputError, OutputError, SettingsError
 from ..io.voxel_data import natural_key
+from .given_mask import read_mask
 from .photograph import PICTURE_SUFFIXES, Frame, Reference, prepare_reference, read_picture
 
 log = logging.getLogger("MedColor")
@@ -179,15 +180,18 @@ def read_index(folder: Path) -> dict:
     return index
 
 
-def read_reference(path: Path) -> Reference:
+def read_reference(path: Path, mask: Path | None = None) -> Reference:
     """Read and cut one colour picture; pictures of a library are cut already.
+
+    Args:
+        mask: a picture that says what is tissue; None: its own transparency, or else it is found.
 
     Raises:
         InputError: not readable, no colour, no tissue.
     """
     rgb = read_picture(str(path))
     if not (path.parent / INDEX).is_file():
-        return prepare_reference(rgb, path.stem)
+        return prepare_reference(rgb, path.stem, None if mask is None else read_mask(mask, rgb.shape[:2]))
     mask = rgb.any(axis=2)
     if not mask.any():
         raise InputError(f"reference {path.name}: the picture is black; make the library again")
@@ -269,6 +273,8 @@ class LibraryWriter:
         self._write(self.folder / file, data)
         self._forget(source)
         entry = {"file": file, "source": source, "sha256": digest, "removed": round(reference.removed, 4), **known}
+        if reference.white != (1.0, 1.0, 1.0):
+            entry["white"] = [round(factor, 4) for factor in reference.white]
         self.index["pictures"].append({**entry, "sha256_prepared": hashlib.sha256(data).hexdigest()})
         return self._save()
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from ..errors import InputError
 from ..scan.grid import Grid, continue_outwards, to_grid
+from .exposure import Exposure, neutral_balance
+from .tissue_mask import find_tissue
 
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")  # of files in a folder of references
 
@@ -43,6 +45,9 @@ class Reference:
         group: the folder, library or colour volume that it is one of many of, for the plan.
         credit: whom to name with a result.
         frame: which part of its picture it is; None where that is not known.
+        notes: what was decided when it was prepared, one clause each.
+        white: (red, green, blue) factors of the white balance that the picture asks for; see `exposure`.
+        exposure: what `rgb` has been brought to its usual brightness with.
     """
 
     rgb: np.ndarray
@@ -52,6 +57,9 @@ class Reference:
     group: str = ""
     credit: str = ""
     frame: Frame | None = None
+    notes: tuple[str, ...] = ()
+    white: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    exposure: Exposure = field(default_factory=Exposure)
 
 
 def read_picture(path: str) -> np.ndarray:
@@ -89,14 +97,12 @@ def read_picture(path: str) -> np.ndarray:
     return np.ascontiguousarray(picture[..., ::-1])
 
 
-def prepare_reference(rgb: np.ndarray, name: str = "reference") -> Reference:
-    """Cut the tissue out of a photograph.
-
-    Removes what is not tissue in the Visible Human photographs: blue gelatin (also inside the sinuses), tray, labels and
-    the grey scale; and a plain background of any one colour in atlases and drawings.
+def prepare_reference(rgb: np.ndarray, name: str = "reference", tissue: np.ndarray | None = None) -> Reference:
+    """Cut the tissue out of a photograph; see `tissue_mask`. Its exposure is not changed here.
 
     Args:
         rgb: (h, w, 3) uint8 sRGB.
+        tissue: (h, w) bool, True on tissue where that is known (a given mask, the picture's own transparency).
 
     Raises:
         InputError: wrong shape or type, no colour in it, or less than 1 % tissue.
@@ -106,15 +112,20 @@ def prepare_reference(rgb: np.ndarray, name: str = "reference") -> Reference:
         raise InputError(f"reference {name}: expected an RGB picture (h, w, 3) of uint8, got {rgb.dtype} {rgb.shape}")
     if int(np.ptp(rgb.astype(np.int16), axis=2).max()) <= 2:
         raise InputError(f"reference {name}: the picture has no colour; use a colour photograph")
-    mask = tissue_mask(rgb)
+    if tissue is not None and tissue.shape != rgb.shape[:2]:
+        raise InputError(
+            f"reference {name}: its mask has shape {tissue.shape}, the picture {rgb.shape[:2]}; make them equal"
+        )
+    mask, note = find_tissue(rgb) if tissue is None else (np.asarray(tissue, bool), "")
     fraction = float(mask.mean())
     if fraction < 0.01:
         raise InputError(
             f"reference {name}: no tissue found ({100 * fraction:.1f} % of the picture); "
-            "use a section on a plain or blue background that fills the picture"
+            "use a section that fills the picture, or name what is tissue (--reference-mask)"
         )
-    frame = Frame.around(mask)
-    return Reference(frame.cut(rgb), frame.cut(mask), name, 1 - fraction, frame=frame)
+    frame, white = Frame.around(mask), neutral_balance(rgb, mask)
+    notes = (note,) if note else ()
+    return Reference(frame.cut(rgb), frame.cut(mask), name, 1 - fraction, frame=frame, notes=notes, white=white)
 
 
 def on_grid(reference: Reference, grid: Grid) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -127,73 +138,3 @@ def on_grid(reference: Reference, grid: Grid) -> tuple[np.ndarray, np.ndarray, n
     lab = continue_outwards(to_grid(lab, grid), mask)
     grey = (lightness_to_gray(lab[..., 0].astype(np.float64)) * mask).astype(np.float32)
     return grey, lab, mask
-
-
-def tissue_mask(rgb: np.ndarray) -> np.ndarray:
-    """(h, w) bool, True on tissue: not background, not blue; large, warm-coloured parts; small holes filled.
-
-    A hole is filled only when it is not blue: dark lumina (vessels, airways) are tissue, gelatin in a sinus is not.
-    """
-    import cv2
-    from scipy import ndimage
-
-    scale = min(1.0, 512 / max(rgb.shape[:2]))
-    size = (max(1, round(rgb.shape[1] * scale)), max(1, round(rgb.shape[0] * scale)))
-    small = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA) if scale < 1 else rgb
-    lab = cv2.cvtColor(small.astype(np.float32) / 255, cv2.COLOR_RGB2LAB)
-    blue = _gelatin(lab)
-    solid = ~blue & ~_background(lab, blue)
-    solid = cv2.morphologyEx(solid.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0
-    parts = _tissue_parts(solid, lab)
-    filled = ndimage.binary_fill_holes(parts) & ~cv2.dilate(blue.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(
-        bool
-    )
-    mask = filled | (parts & ~blue)
-    # pixels next to gelatin are mixed with its blue: a rim one pixel wide goes as well
-    near_blue = cv2.dilate(blue.astype(np.uint8), np.ones((5, 5), np.uint8)).astype(bool)
-    mask &= ~(near_blue & (lab[..., 2] < 6))
-    full = cv2.resize(mask.astype(np.float32), rgb.shape[1::-1], interpolation=cv2.INTER_LINEAR) > 0.5
-    return full
-
-
-def _gelatin(lab: np.ndarray) -> np.ndarray:
-    """Blue pixels: clearly negative b*, hue between cyan and violet. Tissue, also grey matter, is on the yellow side."""
-    _, a, b = np.moveaxis(lab, 2, 0)
-    return (b < -3) & (a < -0.8 * b)
-
-
-def _background(lab: np.ndarray, blue: np.ndarray) -> np.ndarray:
-    """What touches the picture's border and looks like it: black tray, white paper; grown through gelatin."""
-    from scipy import ndimage
-
-    border = np.concatenate([lab[0], lab[-1], lab[:, 0], lab[:, -1]])
-    dark = lab[..., 0] < 12
-    candidates = blue.copy()
-    if np.mean(border[:, 0] < 12) > 0.2:
-        candidates |= dark
-    common = np.median(border, axis=0)
-    near = np.linalg.norm(lab - common, axis=2) < 6
-    if np.mean(np.linalg.norm(border - common, axis=1) < 6) > 0.5:
-        candidates |= near
-    labels, _ = ndimage.label(candidates, structure=np.ones((3, 3)))
-    touching = np.unique(np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]))
-    return np.isin(labels, touching[touching > 0])
-
-
-def _tissue_parts(solid: np.ndarray, lab: np.ndarray) -> np.ndarray:
-    """The largest warm-coloured part and others of at least 4 % of it; grey scales, labels and frames are not warm."""
-    from scipy import ndimage
-
-    labels, count = ndimage.label(solid)
-    if count == 0:
-        return solid
-    index = np.arange(1, count + 1)
-    sizes = ndimage.sum_labels(solid, labels, index)
-    redness = ndimage.median(lab[..., 1], labels, index)
-    chroma = ndimage.median(np.hypot(lab[..., 1], lab[..., 2]), labels, index)
-    touches = np.isin(index, np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]))
-    warm = (redness > 0.5) & (chroma > 4)
-    order = np.where(warm & ~touches, sizes, np.where(warm, sizes * 0.5, sizes * 1e-3))
-    best = order.max()
-    keep = (order >= 0.04 * best) & (warm | (order == best))
-    return np.concatenate([[False], keep])[labels]

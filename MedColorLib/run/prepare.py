@@ -72,7 +72,7 @@ def prepare(
             "reconstruction lbfgs inverts a network; the embedded features have none: use warp or vgg19"
         )
     device = choose_device(settings.device) if find_device else settings.device
-    prepared_references = load_references(references)
+    prepared_references = load_references(references, settings.exposure, settings.reference_masks)
     order = slice_order(volume.ijk_to_ras, settings.plane)
     view = planes_of(order.view(volume.array))
     grid = choose_grid(PRESETS[settings.preset].grid_px)

@@ -36,7 +36,7 @@ class TestAdd:
         name, index = library.add_library(folder, credit="Somebody")
         assert name == "my-atlas" and index["complete"] and index["credit"] == "Somebody"
         assert [entry["source"] for entry in index["pictures"]] == ["more/big.jpg", "plate 2.png", "plate 10.png"]
-        references = load_references([name])
+        references = load_references([name], exposure="off")
         assert max(references[0].rgb.shape) <= 1024
         whole = prepare_reference(section(-0.4))
         assert references[1].rgb.shape == whole.rgb.shape

@@ -9,7 +9,8 @@ from scipy.ndimage import binary_erosion, binary_fill_holes
 
 from MedColorLib.errors import InputError
 from MedColorLib.phantom import section
-from MedColorLib.references.photograph import on_grid, prepare_reference, read_picture, tissue_mask
+from MedColorLib.references.photograph import on_grid, prepare_reference, read_picture
+from MedColorLib.references.tissue_mask import tissue_mask
 from MedColorLib.scan.grid import MARGIN, choose_grid
 
 GELATIN, DARK_GELATIN, WHITE, BLACK = (28, 74, 120), (16, 30, 52), (255, 255, 255), (0, 0, 0)
