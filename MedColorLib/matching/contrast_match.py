@@ -2,7 +2,7 @@
 
 The features of `features.contrast_net` do not change with contrast, so there is nothing for a latent pair to bridge: all
 patches of 3 x 3 positions are compared with all, by cosine similarity. Position joins weakly: it decides between matches that
-look alike and cannot carry a colour to another tissue.
+look alike. (The features know the place in the body as well: `context` of `features.contrast_net.Contrast`.)
 """
 
 from __future__ import annotations
@@ -17,10 +17,8 @@ from .fields import exact
 from .fields.field import warp
 
 PATCH_RADIUS = 1
+GROUP_WEIGHT = 4.0  # one pixel of another tissue group costs its square; a patch of features and position has at most 10
 POSITION_WEIGHT = 0.1  # similarity lost over 0.8 of the body's width, in units of the cosine of the features
-GROUP_WEIGHT = (
-    4.0  # one pixel of another tissue group costs its square; a patch of features and position has at most 10
-)
 
 
 class ContrastMatch(NamedTuple):
