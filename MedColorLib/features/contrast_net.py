@@ -33,9 +33,15 @@ class Contrast:
 
     name = "contrast"
 
-    def __init__(self, device: str = "cpu") -> None:
-        """Raises WeightsError where the weights are missing or not what this version expects."""
-        self.device = torch.device(device)
+    def __init__(self, device: str = "cpu", context: float = 1.0) -> None:
+        """Args:
+            context: share 0..1 of what the coarsest level says: where in the body a position lies. At 1 matches keep their
+                place; at 0 they follow tissue alone, and are less consistent.
+
+        Raises:
+            WeightsError: the weights are missing or not what this version expects.
+        """
+        self.device, self.context = torch.device(device), context
         self._network = _loaded(str(self.device))
 
     def extract(self, luminance: Tensor, layers: Sequence[int]) -> dict[int, Tensor]:
@@ -55,19 +61,20 @@ class Contrast:
         luminance = luminance.to(self.device, torch.float32)
         with torch.no_grad():
             if self.device.type == "cpu":  # one by one: the same bits whatever else is in the batch
-                return torch.cat([self._network(picture[None]) for picture in luminance])
-            return self._network(luminance)
+                return torch.cat([self._network(picture[None], self.context) for picture in luminance])
+            return self._network(luminance, self.context)
 
     def descriptor(self, luminance: Tensor) -> Tensor:
         """(N, 1, H, W) -> (N, 2048): the features on an 8 x 8 raster of the slice, unit length."""
         return F.normalize(F.adaptive_avg_pool2d(self.positions(luminance), 8).flatten(1), dim=1)
 
 
-def extract(luminance: Tensor, device: str = "cpu") -> Tensor:
+def extract(luminance: Tensor, device: str = "cpu", context: float = 1.0) -> Tensor:
     """Features of grey pictures that do not change with their contrast.
 
     Args:
         luminance: (N, 1, H, W) floating point, display grey 0..1, black outside the body; H and W multiples of 16.
+        context: see `Contrast`.
 
     Returns:
         (N, 32, H / 4, W / 4) float32 of unit length; position (i, j) stands for pixels 4i .. 4i + 3, 4j .. 4j + 3.
@@ -75,7 +82,7 @@ def extract(luminance: Tensor, device: str = "cpu") -> Tensor:
     Raises:
         InputError: another shape or type, NaN or infinite values. WeightsError: see `Contrast`.
     """
-    return Contrast(device).positions(luminance)
+    return Contrast(device, context).positions(luminance)
 
 
 @functools.lru_cache(maxsize=4)
@@ -127,14 +134,14 @@ class ContrastNet(nn.Module):
         self.join_quarter = _layer(width + deep, deep)
         self.head = nn.Conv2d(deep + width, CHANNELS, 1)
 
-    def forward(self, luminance: Tensor) -> Tensor:
-        """See the class."""
+    def forward(self, luminance: Tensor, context: float = 1.0) -> Tensor:
+        """See the class, and `Contrast` for `context`."""
         x = self.stem(F.pixel_unshuffle(standardised(luminance), 2))
         early = x
         x = quarter = _residual(self.quarter, x)
         x = eighth = _residual(self.eighth, self.to_eighth(x))
         x = _residual(self.sixteenth, self.to_sixteenth(x))
-        x = self.join_eighth(torch.cat([eighth, _doubled(x)], 1))
+        x = self.join_eighth(torch.cat([eighth, context * _doubled(x)], 1))
         x = self.join_quarter(torch.cat([quarter, _doubled(x)], 1))
         return F.normalize(self.head(torch.cat([early, x], 1)), dim=1)
 

@@ -49,6 +49,13 @@ def test_refuses_what_it_cannot_describe(picture):
         contrast_net.extract(picture)
 
 
+def test_context_is_what_a_far_part_of_the_picture_says():
+    picture = torch.rand(1, 1, 128, 256, generator=torch.Generator().manual_seed(2))
+    without, half, whole = (contrast_net.extract(picture, context=share) for share in (0.0, 0.5, 1.0))
+    assert torch.equal(whole, contrast_net.extract(picture))
+    assert (whole * without).sum(1).mean() < (whole * half).sum(1).mean() < 1
+
+
 def test_layers_of_the_extractor():
     extractor = contrast_net.Contrast()
     layers = extractor.extract(torch.rand(1, 1, 64, 64), (5, 4, 3))
