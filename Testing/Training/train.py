@@ -184,12 +184,15 @@ def train(steps: int, seed: int, say=print, keep=None, every: int = 50) -> tuple
 
 
 def save(network: ContrastNet, path: Path, seed: int, steps: int) -> None:
-    """Write the weights in half precision, under a temporary name first."""
+    """Write the weights in half precision, under a temporary name first.
+
+    One entry of metadata only: safetensors writes several in any order, and the file would have another hash every time.
+    """
     from safetensors.torch import save_file
 
     tensors = {name: value.detach().half().contiguous() for name, value in network.state_dict().items()}
     temporary = path.with_name(path.name + ".part")
-    save_file(tensors, str(temporary), metadata={"network": "contrast-net", "seed": str(seed), "steps": str(steps)})
+    save_file(tensors, str(temporary), metadata={"made_by": f"train.py --steps {steps} --seed {seed}"})
     temporary.replace(path)
 
 
