@@ -21,6 +21,12 @@ _TRAITS: dict[str, tuple] = {
     "kernel": ("ConvolutionKernel",),
     "energy (kV)": ("KVP",),
     "flip angle": ("FlipAngle",),
+    "repetition time (ms)": ("RepetitionTime",),
+    "sequence": ("PulseSequenceName", "SequenceName"),
+    "field of view (mm)": ("ReconstructionDiameter",),
+    "filter": ("FilterType",),
+    "contrast agent": ("ContrastBolusAgent",),
+    "description": ("SeriesDescription",),
     "energy window": ("EnergyWindowVector",),
     "detector": ("DetectorVector",),
     "time point": ("TemporalPositionIndex", "TemporalPositionIdentifier"),
@@ -45,7 +51,13 @@ _TRAITS: dict[str, tuple] = {
 TRAITS = tuple(_TRAITS)
 CONTRASTS = ("component", "echo", "echo time (ms)", "inversion time (ms)", "b-value")  # never parts of one volume
 TIMES = ("acquisition", "acquisition time", "content time", "reference time (ms)", "trigger time (ms)", "gradient")
-HIDDEN = ("acquisition time", "content time", "gradient")  # their values are told by rank
+HIDDEN = (
+    "acquisition time",
+    "content time",
+    "gradient",
+    "contrast agent",
+    "description",
+)  # their values are told by rank
 _ROUGH = {"echo time (ms)": 2, "slice thickness (mm)": 3}  # significant digits
 _MAX_TOKENS = 8
 
