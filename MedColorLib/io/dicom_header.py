@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import MissingPackageError
-from .dicom_traits import frame_traits, traits_of
+from .dicom_traits import Words, frame_traits, traits_of, values_of
 
 DICOM_ENDINGS = (".dcm", ".dicom", ".ima")
 NATIVE = ("1.2.840.10008.1.2", "1.2.840.10008.1.2.1", "1.2.840.10008.1.2.2")  # implicit, explicit, big endian
@@ -194,10 +194,10 @@ def _frames(path: Path, header, tag: int, offset: int, length: int) -> list[Fram
         "whole": "",
     }
     groups = header.get("PerFrameFunctionalGroupsSequence") or []
-    if "MOSAIC" in traits_of(header).get("image type", ()) and pixels.frames == 1:
+    if "MOSAIC" in str(header.get("ImageType", "")) and pixels.frames == 1:
         return _mosaic(header, common, pixels)
     if pixels.frames == 1 and not groups:
-        return [_frame(header, [header], common, 0, pixels)]
+        return [_frame(Words(header), common, 0, pixels)]
     common["whole"] = str(header.get("ConcatenationUID", "")) or common["image"]
     return _multi_frame(header, groups, common, pixels)
 
@@ -219,11 +219,11 @@ def _pixels(header, tag: int, offset: int) -> tuple[Pixels, bool]:
     return Pixels(offset, frames, rows, columns, _syntax(header), bits, signed, real, inverted), color
 
 
-def _frame(header, parts: list, common: dict, number: int, pixels: Pixels, **changed) -> Frame:
-    """One frame. `parts` are the data sets that may hold a value, the nearest first; the header is the last."""
+def _frame(words: Words, common: dict, number: int, pixels: Pixels, **changed) -> Frame:
+    """One frame, of which `words` tell."""
 
     def values(name: str) -> tuple[float, ...]:
-        return next((found for part in parts if (found := _numbers(part.get(name)))), ())
+        return _numbers(words.get(name))
 
     spacing = values("PixelSpacing") or values("ImagerPixelSpacing") or values("NominalScannedPixelSpacing")
     axes, position = values("ImageOrientationPatient"), values("ImagePositionPatient")
@@ -244,7 +244,7 @@ def _frame(header, parts: list, common: dict, number: int, pixels: Pixels, **cha
         "rescale": (slope[0] if slope and slope[0] else 1.0, intercept[0] if intercept else 0.0),
         "window": window,
         "windows": len(centers),
-        "traits": traits_of(header),
+        "traits": changed["traits"] if "traits" in changed else traits_of(words),
     }
     known["thickness_mm"] = abs(known["thickness_mm"][0])
     return Frame(**{**common, **known, **changed})
@@ -258,16 +258,16 @@ def _is_frame(axes: tuple[float, ...]) -> bool:
 
 def _multi_frame(header, groups, common: dict, pixels: Pixels) -> list[Frame]:
     shared = next(iter(header.get("SharedFunctionalGroupsSequence") or []), None)
+    common_words = Words(values_of(_macros(shared)), *_detector(header), header)
     offsets = _numbers(header.get("GridFrameOffsetVector"))
     film = any(int(tag) in _FILMS for tag in _listed(header.get("FrameIncrementPointer"))) and not groups
-    origin = _detector(header)
     frames = []
     for number in range(pixels.frames):
-        own = groups[number] if number < len(groups) else None
-        parts = [*_macros(own), *_macros(shared), *origin, header]
-        traits, place = frame_traits(header, parts, number)
+        own = values_of(_macros(groups[number] if number < len(groups) else None))
+        words = Words(own, common_words)
+        traits, place = frame_traits(words, own, number)
         changed = {"traits": traits, "place": float(number) if place is None else place}
-        frame = _frame(header, parts, common, number, pixels, **changed)
+        frame = _frame(words, common, number, pixels, **changed)
         if film:
             changed = {"place": 0.0, "traits": {**traits, "frame of a film": number + 1}}
         elif not groups and frame.position_mm and frame.axes:
@@ -302,9 +302,9 @@ def _mosaic(header, common: dict, pixels: Pixels) -> list[Frame]:
     count, normal = _mosaic_slices(header)
     tiles = math.ceil(math.sqrt(max(count, 1)))
     if count < 1 or tiles > min(pixels.rows, pixels.columns):
-        return [_frame(header, [header], common, 0, pixels, tiles=0)]  # refused by name where it is chosen
+        return [_frame(Words(header), common, 0, pixels, tiles=0)]  # refused by name where it is chosen
     columns, rows = pixels.columns // tiles, pixels.rows // tiles  # a rest stays empty at the end
-    whole = _frame(header, [header], common, 0, pixels)
+    whole = _frame(Words(header), common, 0, pixels)
     step = _numbers(header.get("SpacingBetweenSlices")) or (whole.thickness_mm or 1.0,)
     frames = []
     for number in range(count):

@@ -5,6 +5,7 @@ Names are for notes and lists; values are numbers or codes, no free text of the 
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 # Words for people -> keyword or private tag (group, element), first found. In the order in which they are tried.
@@ -20,6 +21,12 @@ _TRAITS: dict[str, tuple] = {
     "kernel": ("ConvolutionKernel",),
     "energy (kV)": ("KVP",),
     "flip angle": ("FlipAngle",),
+    "repetition time (ms)": ("RepetitionTime",),
+    "sequence": ("PulseSequenceName", "SequenceName"),
+    "field of view (mm)": ("ReconstructionDiameter",),
+    "filter": ("FilterType",),
+    "contrast agent": ("ContrastBolusAgent",),
+    "description": ("SeriesDescription",),
     "energy window": ("EnergyWindowVector",),
     "detector": ("DetectorVector",),
     "time point": ("TemporalPositionIndex", "TemporalPositionIdentifier"),
@@ -44,40 +51,73 @@ _TRAITS: dict[str, tuple] = {
 TRAITS = tuple(_TRAITS)
 CONTRASTS = ("component", "echo", "echo time (ms)", "inversion time (ms)", "b-value")  # never parts of one volume
 TIMES = ("acquisition", "acquisition time", "content time", "reference time (ms)", "trigger time (ms)", "gradient")
-HIDDEN = ("acquisition time", "content time", "gradient")  # their values are told by rank
-_PLACES = ("SliceVector", "InStackPositionNumber")
+HIDDEN = (
+    "acquisition time",
+    "content time",
+    "gradient",
+    "contrast agent",
+    "description",
+)  # their values are told by rank
 _ROUGH = {"echo time (ms)": 2, "slice thickness (mm)": 3}  # significant digits
 _MAX_TOKENS = 8
 
 
-def traits_of(*parts) -> dict[str, Any]:
-    """The traits that the data sets give, the nearest data set first."""
+class Words:
+    """What data sets say, by keyword or private tag: the value of the first that has it, each looked up once."""
+
+    def __init__(self, *parts) -> None:
+        """The nearest data set first; dictionaries of values and other `Words` may be among them."""
+        self._parts, self._known = parts, {}
+
+    def get(self, source, default=None):
+        """The value, or `default` where it is missing, empty or unreadable."""
+        if source not in self._known:
+            self._known[source] = next((v for part in self._parts if (v := _value(part, source)) is not None), None)
+        found = self._known[source]
+        return default if found is None else found
+
+
+def values_of(items: Iterable) -> dict:
+    """Keyword or private tag -> value of all elements of data sets, the first of a name; unreadable ones are left out."""
+    found: dict = {}
+    for item in items:
+        tags = list(item.keys())  # iterating gives elements, and raises at a damaged one
+        for tag in tags:
+            try:
+                element = item[tag]
+                found.setdefault(element.keyword or (tag.group, tag.element), element.value)
+            except Exception:  # whatever a damaged element makes pydicom raise
+                continue
+    return found
+
+
+def traits_of(words: Words) -> dict[str, Any]:
+    """The traits that a header gives."""
     found = {}
     for name, sources in _TRAITS.items():
         for source in sources:
-            value = next((v for part in parts if (v := _value(part, source)) is not None), None)
+            value = words.get(source)
             if value is not None:
                 found[name] = _plain(name, value)
                 break
     return found
 
 
-def frame_traits(header, parts: list, number: int) -> tuple[dict[str, Any], float | None]:
-    """(traits, number that orders frames without a position) of a frame of a multi-frame file."""
-    found = traits_of(*parts)
+def frame_traits(words: Words, own: dict, number: int) -> tuple[dict[str, Any], float | None]:
+    """(traits, number that orders frames without a position) of a frame; `own`: what it does not share with others."""
+    found = traits_of(words)
     for name in ("energy window", "detector", "phase", "rotation", "time slot", "time slice", "angle"):
         vector = _TRAITS[name][0]
-        values = header.get(vector)
+        values = words.get(vector)
         if values is not None:
             found[name] = _nth(values, number)
-    for part in parts:
-        indices = part.get("DimensionIndexValues")
-        for place, index in enumerate(indices if hasattr(indices, "__len__") else [] if indices is None else [indices]):
-            found[f"dimension {place + 1}:"] = int(index)
-    slices = header.get("SliceVector")
+    indices = own.get("DimensionIndexValues")
+    for place, index in enumerate(indices if hasattr(indices, "__len__") else [] if indices is None else [indices]):
+        found[f"dimension {place + 1}:"] = int(index)
+    slices = words.get("SliceVector")
     if slices is not None:
         return found, float(_nth(slices, number))
-    place = next((p for part in parts if (p := part.get("InStackPositionNumber")) is not None), None)
+    place = own.get("InStackPositionNumber")
     return found, None if place is None else float(place)
 
 
@@ -90,7 +130,8 @@ def _value(part, source):
     """The element's value, or None where it is missing, empty or unreadable."""
     try:
         value = part.get(source)
-        value = value if isinstance(source, str) or value is None else value.value  # elements come by tag
+        if hasattr(value, "VR"):  # data sets give elements by tag
+            value = value.value
     except Exception:  # whatever a damaged element makes pydicom raise
         return None
     return None if value is None or (hasattr(value, "__len__") and not len(value)) else value

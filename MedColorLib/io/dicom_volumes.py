@@ -202,7 +202,47 @@ def _split(stack: Stack) -> list[Stack]:
             values = sorted(parts, key=_order)
             divided = (_part(stack, name, number, values, parts) for number in range(len(values)))
             return [small for part in divided for small in _split(part)]
-    return _by_rank(stack, places) if crowded else [stack]
+    if crowded:
+        return _by_rank(stack, places)
+    return _by_runs(stack)
+
+
+def _by_runs(stack: Stack) -> list[Stack]:
+    """Stacks that lie in each other and are told apart by nothing but their numbers, which run through one and the next.
+
+    Such runs are one volume (every other slice was taken first) unless the slices would overlap.
+    """
+    frames = sorted(stack.frames, key=lambda frame: frame.instance)
+    heights = [place_of(frame) for frame in frames]
+    thickness = frames[0].traits.get("slice thickness (mm)")
+    runs: list[list[Frame]] = []
+    for number, frame in enumerate(frames):
+        turned = (
+            number > 1 and (heights[number] - heights[number - 1]) * (heights[number - 1] - heights[number - 2]) < 0
+        )
+        if not runs or (turned and len(runs[-1]) > 1):
+            runs.append([])
+        runs[-1].append(frame)
+    steps = np.diff(sorted(heights))
+    if (
+        not 2 <= len(runs) <= len(frames) // 2
+        or not isinstance(thickness, float)
+        or np.median(steps) > 0.75 * thickness
+    ):
+        return [stack]
+    parts = [sorted(map(place_of, run)) for run in runs]
+    if not all(map(_is_even, parts)) or not all(a[0] < b[-1] and b[0] < a[-1] for a, b in zip(parts, parts[1:])):
+        return [stack]
+    note = "stacks that lie in each other are told apart by their numbers alone"
+    return [
+        Stack(
+            tuple(sorted(run, key=place_of)),
+            {**stack.said, "stack": f"{number + 1} of {len(runs)}"},
+            (*stack.rank, number),
+            (*stack.notes, note),
+        )
+        for number, run in enumerate(runs)
+    ]
 
 
 def _without_equals(places: list[list[Frame]]) -> list[Frame]:

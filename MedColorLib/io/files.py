@@ -26,6 +26,7 @@ from .dicom import DICOM_ENDINGS, dicom_choices, is_dicom, read_dicom
 from .folders import FolderContents, files_below, files_in, look_into
 from .metaimage_nifti import (
     load_nifti,
+    meta_choices,
     meta_fields,
     nifti_array,
     nifti_choices,
@@ -277,7 +278,7 @@ _READERS: dict[str, Callable[[Path, int, int | None], Volume]] = {
     **dict.fromkeys(DICOM_ENDINGS, _read_single_dicom),
     **dict.fromkeys((".png", ".jpg", ".jpeg", ".bmp"), _refuse_picture),
 }
-_CHOICES = {read_nrrd: nrrd_choices, read_nifti: nifti_choices, read_tiff: tiff_choices}
+_CHOICES = {read_nrrd: nrrd_choices, read_meta_image: meta_choices, read_nifti: nifti_choices, read_tiff: tiff_choices}
 
 
 def _reader(path: Path) -> Callable[[Path, int, int | None], Volume]:

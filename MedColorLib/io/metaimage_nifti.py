@@ -43,23 +43,18 @@ _UPRIGHT = 1e-4  # largest cosine between axes that ITK takes for a right angle
 
 
 def read_meta_image(path: Path, max_bytes: int, number: int | None = None) -> Volume:
-    """A scalar MetaImage with three axes; voxels attached or detached, raw, zlib or text. It is one volume, number 1."""
-    pick([Choice(title(path), ())], number)
+    """A scalar MetaImage with three axes; voxels attached or detached, raw, zlib or text.
+
+    Of four axes (time points) the volume with that number, from 1 on.
+    """
     fields, end = meta_fields(path)
-    try:
-        shape = tuple(int(size) for size in reversed(fields["DimSize"].split()))
-        axes = len(shape)
-        channels, skip = int(fields.get("ElementNumberOfChannels", 1)), int(fields.get("HeaderSize", 0))
-        while len(shape) > 3 and shape[0] == 1:
-            shape = shape[1:]  # a fourth axis of length one
-        matrix = _meta_matrix(fields, axes) if len(shape) == 3 else LPS_TO_RAS
-    except ValueError as error:
-        raise InputError(f"not a valid MetaImage header ({error})") from error
-    kind = fields["ElementType"].removesuffix("_ARRAY")
-    if channels != 1 or kind != fields["ElementType"]:
-        raise InputError(IS_COLOR)
-    if len(shape) != 3:
-        raise InputError(IS_FLAT if len(shape) < 3 else IS_FOUR_D)
+    shape, matrix, notes = _meta_geometry(fields)
+    count = checked_count(shape[0]) if len(shape) == 4 else 1
+    if count > 1 and number is None:
+        raise InputError(f"{IS_FOUR_D} ({count} volumes)")
+    choices = _meta_choices(path, shape, matrix)
+    index = pick(choices, number)
+    kind = fields["ElementType"]
     if kind not in _META_TYPES:
         raise InputError(f"MetaImage type {kind!r} is not an integer or float type")
     dtype = np.dtype(_META_TYPES[kind])
@@ -68,15 +63,53 @@ def read_meta_image(path: Path, max_bytes: int, number: int | None = None) -> Vo
     encoding = (
         "zlib" if _is_true(fields, "CompressedData") else "raw" if _is_true(fields, "BinaryData", "T") else "text"
     )
+    try:
+        skip = int(fields.get("HeaderSize", 0))
+    except ValueError as error:
+        raise InputError(f"not a valid MetaImage header ({error})") from error
     attached = fields["ElementDataFile"].upper() == "LOCAL"
     source, start = (path, end) if attached else (data_file(path, fields["ElementDataFile"]), 0)
+    array = read_voxels(source, start, shape, dtype.newbyteorder(">" if big_endian else "<"), encoding, skip=skip)
+    notes = [*chosen_note(choices, index, number), *notes]
+    return Volume(array[index] if len(shape) == 4 else array, matrix, name=title(path), notes=tuple(notes))
+
+
+def meta_choices(path: Path) -> list[Choice]:
+    """What there is to choose from: one volume, or one for each point of a fourth axis."""
+    shape, matrix, _ = _meta_geometry(meta_fields(path)[0])
+    return _meta_choices(path, shape, matrix)
+
+
+def _meta_choices(path: Path, shape: tuple[int, ...], matrix: np.ndarray) -> list[Choice]:
+    spacing = tuple(np.linalg.norm(matrix[:3, :3], axis=0).tolist())
+    names = [f"time point {n + 1}" for n in range(checked_count(shape[0]))] if len(shape) == 4 else [title(path)]
+    return [Choice(name, shape[:-4:-1], spacing) for name in names]
+
+
+def _meta_geometry(fields: dict[str, str]) -> tuple[tuple[int, ...], np.ndarray, list[str]]:
+    """(shape, three axes or four, the slowest first; (4, 4) IJK to RAS; notes).
+
+    Raises:
+        InputError: damaged, colour, or fewer or more axes.
+    """
+    try:
+        shape = tuple(int(size) for size in reversed(fields["DimSize"].split()))
+        axes = len(shape)
+        channels = int(fields.get("ElementNumberOfChannels", 1))
+        while len(shape) > 3 and shape[0] == 1:
+            shape = shape[1:]  # a fourth axis of length one
+        matrix = _meta_matrix(fields, axes) if len(shape) in (3, 4) else LPS_TO_RAS
+    except ValueError as error:
+        raise InputError(f"not a valid MetaImage header ({error})") from error
+    if channels != 1 or fields["ElementType"].endswith("_ARRAY"):
+        raise InputError(IS_COLOR)
+    if len(shape) not in (3, 4):
+        raise InputError(IS_FLAT if len(shape) < 3 else IS_FOUR_D)
     notes: list[str] = []
     scale = {"um": 1e-3, "cm": 10.0, "m": 1e3}.get(fields.get("DistanceUnits", "mm"), 1.0)
     if scale != 1.0:
         notes.append(f"the MetaImage header's unit is not millimetres; the geometry was multiplied by {scale:g}")
-    matrix = repaired(np.diag([scale, scale, scale, 1.0]) @ matrix, shape, notes)
-    array = read_voxels(source, start, shape, dtype.newbyteorder(">" if big_endian else "<"), encoding, skip=skip)
-    return Volume(array, matrix, name=title(path), notes=tuple(notes))
+    return shape, repaired(np.diag([scale, scale, scale, 1.0]) @ matrix, shape[-3:], notes), notes
 
 
 def meta_fields(path: Path) -> tuple[dict[str, str], int]:

@@ -187,12 +187,34 @@ def _plane(path: Path, page, max_bytes: int, notes: set[str]) -> np.ndarray:
     ratio = 1 if page.compression == 1 else _MAX_RATIO
     if end > path.stat().st_size or not all(page.databytecounts) or packed * ratio < min(size, bits):
         raise InputError(IS_TRUNCATED)
+    if (
+        page.compression == 1
+        and page.bitspersample not in (1, 8, 16, 32, 64)
+        and page.samplesperpixel == 1
+        and not page.is_tiled
+    ):
+        return _grey(page, _packed_numbers(path, page), page.axes, notes)
     try:
         return _grey(page, page.asarray(maxworkers=1), page.axes, notes)
-    except ValueError as error:
+    except Exception as error:  # of different types, one for each way of packing
         if "imagecodecs" not in str(error):
             raise
     return _by_opencv(path, page, notes)
+
+
+def _packed_numbers(path: Path, page) -> np.ndarray:
+    """(rows, columns) of numbers of 2, 4, 12 ... bits side by side, rows filled up to whole bytes."""
+    bits, columns = page.bitspersample, page.imagewidth
+    length = (columns * bits + 7) // 8
+    with path.open("rb") as file:
+        parts = []
+        for offset, count in zip(page.dataoffsets, page.databytecounts):
+            file.seek(offset)
+            parts.append(file.read(count))
+    data = np.frombuffer(b"".join(parts), np.uint8)[: page.imagelength * length].reshape(page.imagelength, length)
+    order = "little" if page.fillorder == 2 else "big"
+    single = np.unpackbits(data, axis=1, bitorder=order)[:, : columns * bits].reshape(page.imagelength, columns, bits)
+    return (single @ (1 << np.arange(bits)[::-1])).astype(page.dtype)
 
 
 def _by_opencv(path: Path, page, notes: set[str]) -> np.ndarray:
@@ -229,15 +251,16 @@ def _grey(page, picture: np.ndarray, axes: str, notes: set[str], mapped: bool = 
         kind = "pictures with an alpha channel" if picture.shape[-1] in (2, 4) else "RGB pictures"
         return grey_of(picture, kind, notes)
     if page.photometric == 0:
-        if picture.dtype.kind != "u":
-            notes.add("WhiteIsZero, but the numbers have a sign: they are kept as they are")
-            return picture
-        top = np.iinfo(picture.dtype).max if page.bitspersample in (1, 8, 16, 32) else (1 << page.bitspersample) - 1
+        top = 0 if picture.dtype.kind == "f" else -1 if picture.dtype.kind == "i" else _largest(picture.dtype, page)
         notes.add(
             f"WhiteIsZero: larger numbers are meant to look darker; they were turned round ({top} minus the number)"
         )
         return top - picture
     return picture
+
+
+def _largest(dtype: np.dtype, page) -> int:
+    return int(np.iinfo(dtype).max) if page.bitspersample in (1, 8, 16, 32, 64) else (1 << page.bitspersample) - 1
 
 
 # --- voxel size -----------------------------------------------------------------------------------------------------

@@ -48,6 +48,9 @@ def is_either(folder: Path, words: str, first: np.ndarray = A, second: np.ndarra
         ("AcquisitionTime", ("100000", "100500"), "acquisition time 2 of 2"),
         ("TriggerTime", (10, 500), "trigger time 500 ms"),
         ("FlipAngle", (5, 20), "flip angle 20"),
+        ("SequenceName", ("ep_b0", "ep_b800"), "sequence ep_b800"),
+        ("ContrastBolusAgent", ("A", "GADO"), "contrast agent 2 of 2"),
+        ("SeriesDescription", ("early", "late"), "description 2 of 2"),
         ("ConvolutionKernel", ("B30f", "B70f"), "kernel B70f"),
         ("ImageType", (["ORIGINAL", "PRIMARY", "M"], ["ORIGINAL", "PRIMARY", "P"]), "ORIGINAL/PRIMARY/P"),
         ("ImageType", (["ORIGINAL", "PRIMARY", "AXIAL"], ["DERIVED", "SECONDARY"]), "DERIVED/SECONDARY"),
@@ -79,6 +82,20 @@ def test_times_of_acquisitions_between_each_other(tmp_path: Path) -> None:
     times = {"AcquisitionTime": "100000"}, {"AcquisitionTime": "100100"}
     both(tmp_path, *times, [h + 1.5 for h in HEIGHTS], number=11)
     is_either(tmp_path, "acquisition time 2 of 2")
+
+
+def test_stacks_between_each_other_that_only_numbers_tell_apart(tmp_path: Path) -> None:
+    both(tmp_path, {}, {}, [h + 1.5 for h in HEIGHTS], number=11)
+    is_either(tmp_path, "stack 2 of 2")
+    assert "by their numbers alone" in read_volume(tmp_path).notes[1]
+
+
+def test_every_other_slice_first_is_one_volume(tmp_path: Path) -> None:
+    for n in range(10):
+        save(classic(A[n], HEIGHTS[n], 1 + n // 2 + 5 * (n % 2)), tmp_path / f"{n}.dcm")
+    volume = read_volume(tmp_path)
+    np.testing.assert_array_equal(volume.array, A)
+    assert volume.notes == ()
 
 
 def test_thick_and_thin_reconstructions(tmp_path: Path) -> None:

@@ -191,6 +191,19 @@ def test_meta_image_with_a_fourth_axis_of_length_one(tmp_path: Path) -> None:
     np.testing.assert_allclose(volume.ijk_to_ras, LPS @ [[2, 0, 0, 4], [0, 2, 0, 5], [0, 0, 3, 6], [0, 0, 0, 1]])
 
 
+@pytest.mark.parametrize("packed", [True, False])
+def test_time_points_of_a_meta_image(packed: bool, tmp_path: Path) -> None:
+    image = sitk.GetImageFromArray(np.stack([A, A + 100]).astype(np.float32), isVector=False)
+    image.SetSpacing((2, 2, 3, 1))
+    sitk.WriteImage(image, tmp_path / "a.mha", useCompression=packed)
+    with pytest.raises(InputError, match=r"choose one with --volume N.*\(2 volumes\)"):
+        read_volume(tmp_path / "a.mha")
+    volume = read_volume(tmp_path / "a.mha", volume=2)
+    np.testing.assert_array_equal(volume.array, A + 100)
+    assert "time point 2 (5 x 4 x 3) was read, as asked for; left out: 1: time point 1" in volume.notes[0]
+    assert len(list_volumes(tmp_path / "a.mha")[0]) == 2
+
+
 @pytest.mark.parametrize("unit, scale", [("um", 1e-3), ("m", 1e3), ("mm", 1)])
 def test_units_of_a_meta_image(unit: str, scale: float, tmp_path: Path) -> None:
     lines = f"NDims = 3\nDimSize = 5 4 3\nElementSpacing = 2 2 3\nOffset = 4 5 6\nDistanceUnits = {unit}\n"

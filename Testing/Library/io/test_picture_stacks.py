@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+import zlib
 from pathlib import Path
 
 import cv2
@@ -121,6 +123,48 @@ def test_white_is_zero(dtype: str, where: str, tmp_path: Path) -> None:
     assert volume.notes[0].startswith(
         f"WhiteIsZero: larger numbers are meant to look darker; they were turned round ({top}"
     )
+
+
+@pytest.mark.parametrize("dtype", ["i2", "f4", "u4"])
+def test_white_is_zero_of_other_types(dtype: str, tmp_path: Path) -> None:
+    """The order of brightness is turned; what is largest is darkest."""
+    array = (A.astype(np.int64) - 20000).astype(dtype)
+    tifffile.imwrite(tmp_path / "a.tif", array, photometric="miniswhite")
+    volume = read_volume(tmp_path / "a.tif")
+    top = {"i2": -1, "f4": 0, "u4": 2**32 - 1}[dtype]
+    np.testing.assert_array_equal(volume.array, top - array.astype(np.int64 if dtype != "f4" else dtype))
+    assert f"turned round ({top} minus the number)" in volume.notes[0]
+
+
+@pytest.mark.parametrize("white_is_zero", [False, True])
+@pytest.mark.parametrize("bits", [2, 4, 12])
+def test_numbers_of_few_bits(bits: int, white_is_zero: bool, tmp_path: Path) -> None:
+    """Written by hand after TIFF 6.0: numbers side by side, rows filled up to whole bytes."""
+    array = (A[:2, :, :7] % (1 << bits)).astype(np.uint16)
+    stored = (1 << bits) - 1 - array if white_is_zero else array
+    places = np.arange(bits)[::-1]
+    rows = [np.packbits((row[:, None] >> places) & 1).tobytes() for plane in stored for row in plane]
+    size = len(rows[0]) * 7
+    data = bytearray(b"II*\0" + struct.pack("<I", 8 + 2 * size) + b"".join(rows))
+    for page in range(2):
+        values = {
+            256: 7,
+            257: 7,
+            258: bits,
+            259: 1,
+            262: int(not white_is_zero),
+            273: 8 + page * size,
+            277: 1,
+            278: 7,
+            279: size,
+        }
+        data += struct.pack("<H", len(values)) + b"".join(
+            struct.pack("<HHII", tag, 4, 1, v) for tag, v in values.items()
+        )
+        data += struct.pack("<I", len(data) + 4 if page == 0 else 0)
+    (tmp_path / "a.tif").write_bytes(data)
+    volume = read_volume(tmp_path / "a.tif")
+    np.testing.assert_array_equal(volume.array, array)
 
 
 def test_imagej_hyperstack(tmp_path: Path) -> None:
@@ -289,8 +333,6 @@ def test_transparency_that_varies_is_said_and_colours_are_refused(tmp_path: Path
 
 def test_size_is_checked_before_memory_is_taken(tmp_path: Path) -> None:
     """Headers of pictures that would take gigabytes."""
-    import struct
-    import zlib
 
     def chunk(name: bytes, data: bytes) -> bytes:
         return struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
