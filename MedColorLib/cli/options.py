@@ -101,7 +101,7 @@ def _add_settings(add: Callable) -> None:
         help="parameter of the smoother, such as lam=16; may be repeated (a wrong name lists the right ones)",
     )
     add("--luminance", choices=LUMINANCE, default="keep", help="the scan's own, or the reference's as in the paper")
-    add("--gamma", choices=("on", "off"), help="transfer between gamma 1/2 and 2 (default: on in full, else off)")
+    add("--gamma", choices=("on", "off"), help="transfer between gamma 1/2 and 2 (default: on in full with --luminance paper)")
     add(
         "--reconstruction",
         choices=RECONSTRUCTIONS,
