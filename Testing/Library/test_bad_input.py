@@ -241,7 +241,9 @@ class TestSettings:
             Settings.from_dict({"preset": "best"})
 
     def test_what_auto_means(self):
-        assert Settings(preset="full").resolved_smoother == "fgs" and Settings(preset="full").resolved_gamma is True
+        assert Settings(preset="full").resolved_smoother == "fgs"
+        assert Settings(preset="full", luminance="paper").resolved_gamma is True
+        assert Settings(preset="full", luminance="keep").resolved_gamma is False
         assert Settings(preset="draft").resolved_smoother == "regression"
         assert Settings(smoother="wls").resolved_smoother == "wls" and Settings(gamma=True).resolved_gamma is True
 

@@ -125,7 +125,8 @@ def test_papers_equation_with_both_of_its_solves(smoother, gamma):
     reference_lab = encoded_lab(match.lab, gamma)[INNER]
 
     def smoothed(source):
-        return FILTERS[smoother](source, 2.55 * scan_lab[..., 0])
+        guide = 2.55 * scan_lab[..., 0]
+        return FILTERS[smoother](source, np.rint(guide) if smoother == "fgs" else guide)  # of 8 bits, as in the paper
 
     expected = decoded_lab(smoothed(reference_lab) - smoothed(scan_lab) + scan_lab, gamma)
     got = transfer_lab(grey, mask, match, TransferParameters(smoother, "paper", gamma))
