@@ -1,6 +1,7 @@
 """A head made by formula: a grey volume and a colour section of the same anatomy. For the demo, a first run and tests.
 
 Not a patient and not a photograph: ellipsoids of skin, fat, skull, brain, ventricles, eyes and sinuses with seeded texture.
+Made with NumPy alone: it is the first thing that a fresh Slicer shows, before any package is installed.
 """
 
 from __future__ import annotations
@@ -64,13 +65,11 @@ def sample(modality: str = "ct", seed: int = 0) -> tuple[Volume, np.ndarray]:
         Volume (48, 128, 112) of 4 x 1.6 x 1.6 mm; (h, w, 3) uint8 RGB section at eye level on blue gelatin, whose
         anatomy is stretched by a few per cent against the volume's, as a photograph's is.
     """
-    from scipy.ndimage import gaussian_filter
-
     rng = np.random.default_rng(seed)
     anatomy = labels()
     column = {"ct": 0, "mr": 1}[modality]
     table = np.array([TISSUES[name][column] for name in _NAMES], np.float64)
-    values = gaussian_filter(table[anatomy], (0.3, 0.5, 0.5))
+    values = _blurred(table[anatomy], (0.3, 0.5, 0.5))
     values += rng.normal(0, 12 if modality == "ct" else 14, anatomy.shape)
     array = np.rint(values).astype(np.int16) if modality == "ct" else np.rint(np.maximum(values, 0)).astype(np.uint16)
     ijk_to_ras = np.diag([-1.6, -1.6, 4.0, 1.0])
@@ -80,20 +79,40 @@ def sample(modality: str = "ct", seed: int = 0) -> tuple[Volume, np.ndarray]:
 
 def section(level: float = -0.45, rng: np.random.Generator | None = None) -> np.ndarray:
     """(264, 248, 3) uint8 RGB: the colour section at height `level` (-1 feet .. 1 vertex) with texture, in gelatin."""
-    import cv2
-    from scipy.ndimage import gaussian_filter
-
     rng = rng or np.random.default_rng(0)
     fine = labels((41, 256, 224))[round((level + 1) * 20)]
     rows, cols = np.mgrid[:256, :224].astype(np.float32)
     rows, cols = rows + 4 * np.sin(cols / 40), cols + 4 * np.sin(rows / 50)
-    fine = cv2.remap(fine, cols, rows, cv2.INTER_NEAREST)
+    fine = _nearest(fine, rows, cols)
     fine = np.pad(fine, ((4, 4), (12, 12)))
     colors = np.array([TISSUES[name][2] for name in _NAMES], np.float64)
-    picture = gaussian_filter(colors[fine], (0.8, 0.8, 0))
-    grain = gaussian_filter(rng.normal(0, 1, fine.shape), 1.2)
+    picture = _blurred(colors[fine], (0.8, 0.8))
+    grain = _blurred(rng.normal(0, 1, fine.shape), (1.2, 1.2))
     picture *= 1 + 0.04 * (grain / grain.std())[..., None]
-    gelatin = np.array(_GELATIN) * (1 + 0.08 * gaussian_filter(rng.normal(0, 1, fine.shape), 3)[..., None] * 8)
-    outside = gaussian_filter((fine == 0).astype(float), 0.8)[..., None]
+    gelatin = np.array(_GELATIN) * (1 + 0.08 * _blurred(rng.normal(0, 1, fine.shape), (3, 3))[..., None] * 8)
+    outside = _blurred((fine == 0).astype(float), (0.8, 0.8))[..., None]
     picture = picture * (1 - outside) + gelatin * outside
     return np.rint(np.clip(picture, 0, 255)).astype(np.uint8)
+
+
+def _blurred(values: np.ndarray, sigmas: tuple[float, ...]) -> np.ndarray:
+    """Gaussian of standard deviations in voxels along the first axes, cut at 4 of them, mirrored at the borders."""
+    for axis, sigma in enumerate(sigmas):
+        reach = int(4 * sigma + 0.5)
+        weights = np.exp(-0.5 / sigma**2 * np.arange(-reach, reach + 1) ** 2)
+        weights /= weights.sum()
+        lines = np.moveaxis(values, axis, 0)
+        count = len(lines)
+        padded = np.pad(lines, [(reach, reach)] + [(0, 0)] * (lines.ndim - 1), mode="symmetric")
+        total = padded[reach : reach + count] * weights[reach]
+        for step in range(reach, 0, -1):
+            total += (padded[reach - step : reach - step + count] + padded[reach + step :][:count]) * weights[reach - step]
+        values = np.moveaxis(total, 0, axis)
+    return values
+
+
+def _nearest(picture: np.ndarray, rows: np.ndarray, cols: np.ndarray) -> np.ndarray:
+    """The pixels nearest to positions (row, column); 0 outside the picture."""
+    row, col = np.rint(rows).astype(np.int64), np.rint(cols).astype(np.int64)
+    inside = (row >= 0) & (row < picture.shape[0]) & (col >= 0) & (col < picture.shape[1])
+    return np.where(inside, picture[row.clip(0, picture.shape[0] - 1), col.clip(0, picture.shape[1] - 1)], 0)

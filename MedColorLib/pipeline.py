@@ -97,7 +97,7 @@ def colorize(
     run.step(1.0, "done")
     _leave_out(prepared.plan, store.resumed_slices if store else 0)
     report = {**_report(prepared, engine, run, painter), **_resumed(store)}
-    return ColorVolume(rgb, volume.ijk_to_ras, report, f"{volume.name} colored", confidence)
+    return ColorVolume(rgb, volume.ijk_to_ras, report, f"{volume.name} coloured", confidence)
 
 
 def _leave_out(plan: Plan, resumed: int) -> None:

@@ -75,7 +75,7 @@ class ColorVolume:
     rgb: np.ndarray
     ijk_to_ras: np.ndarray
     report: dict = field(default_factory=dict)
-    name: str = "volume colored"
+    name: str = "volume coloured"
     confidence: np.ndarray | None = None
 
     def __post_init__(self) -> None:

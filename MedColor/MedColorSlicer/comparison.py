@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+import json
+
 import slicer
-import vtk
 
-from . import rendering, rendering_show
+from . import rendering, rendering_show, view_fit
+from . import scene as nodes
 
-_GREY_ATTRIBUTE = "MedColor.Grey"  # on the grey display node: MedColor made it and may set its curves
+_GREY_ATTRIBUTE = "MedColor.Grey"  # on the grey copy: MedColor made it, and removes it again
 _LAYOUT_ATTRIBUTE = "MedColor.EarlierLayout"  # on the layout node, while the comparison is shown
 
 
-def show(grey_node, color_node, fade: float = 0.5):
+def show(grey_node, color_node, fade: float = 1.0):
     """See `MedColorLogic.showComparison`."""
     scene = color_node.GetScene()
     overlay(scene, grey_node, color_node, fade)
-    layout = scene.GetFirstNodeByClass("vtkMRMLLayoutNode")
+    layout = _layout(scene)
     if layout and layout.GetViewArrangement() != layout.SlicerLayoutDual3DView:
         layout.SetAttribute(_LAYOUT_ATTRIBUTE, str(layout.GetViewArrangement()))
         layout.SetViewArrangement(layout.SlicerLayoutDual3DView)
@@ -27,23 +29,34 @@ def show(grey_node, color_node, fade: float = 0.5):
     rendering_show.show(color_node, [color_view])
     _show_grey(grey_node, grey_view, color_node)
     _link_cameras(scene, color_view, grey_view)
+    view_fit.render_again()
     return color_view, grey_view
 
 
-def hide(grey_node, color_node) -> None:
-    """See `MedColorLogic.hideComparison`."""
-    scene = color_node.GetScene()
-    layout = scene.GetFirstNodeByClass("vtkMRMLLayoutNode")
+def hide(grey_node, color_node, restore_layout: bool = True) -> None:
+    """See `MedColorLogic.hideComparison`; without `restore_layout` the views stay as the user arranged them."""
+    scene = (color_node or grey_node).GetScene()
+    layout = _layout(scene)
     earlier = layout.GetAttribute(_LAYOUT_ATTRIBUTE) if layout else None
     if earlier:
         layout.RemoveAttribute(_LAYOUT_ATTRIBUTE)
-        layout.SetViewArrangement(int(earlier))
-    display = rendering.display_node_of(grey_node) if grey_node else None
-    if display and display.GetAttribute(_GREY_ATTRIBUTE):
-        display.SetVisibility(False)
-    display = rendering.display_node_of(color_node)
-    if display:
-        display.RemoveAllViewNodeIDs()
+        if restore_layout:
+            layout.SetViewArrangement(int(earlier))
+    for copy in _grey_copies(scene):
+        _remove_copy(copy)
+    if color_node is not None and rendering.display_node_of(color_node):
+        rendering.display_node_of(color_node).RemoveAllViewNodeIDs()
+    view_fit.render_again()
+
+
+def is_laid_out(scene) -> bool:
+    """Whether the views are still arranged for the comparison; True where there are no views."""
+    layout = _layout(scene)
+    return layout is None or layout.GetViewArrangement() == layout.SlicerLayoutDual3DView
+
+
+def _layout(scene):
+    return scene.GetFirstNodeByClass("vtkMRMLLayoutNode")
 
 
 def overlay(scene, grey_node, color_node, fade: float) -> None:
@@ -66,57 +79,70 @@ def _composites(scene) -> list:
 
 
 def _show_grey(grey_node, view, color_node) -> None:
-    """The grey volume by the same curve of luminance; a rendering the user made is shown as it is."""
-    scene = grey_node.GetScene()
+    """A rendering of the grey volume that the user made, as it is; else its body in the look of the colours.
+
+    The copy is grey as R = G = B where there is colour, so that headrest and table stay away, and both halves have one
+    curve, one light and one brightness.
+    """
     display = rendering.display_node_of(grey_node)
-    if display is None:
-        display = scene.AddNewNodeByClass("vtkMRMLGPURayCastVolumeRenderingDisplayNode", f"{grey_node.GetName()} grey")
-        node = scene.AddNewNodeByClass("vtkMRMLVolumePropertyNode", f"{grey_node.GetName()} grey property")
-        display.SetAndObserveVolumePropertyNodeID(node.GetID())
-        display.SetAttribute(_GREY_ATTRIBUTE, "1")
-        display.SetVisibility(False)
-        grey_node.AddAndObserveDisplayNodeID(display.GetID())
-    if display.GetAttribute(_GREY_ATTRIBUTE):
-        _set_grey_property(display.GetVolumePropertyNode(), grey_node, color_node)
-    display.RemoveAllViewNodeIDs()
-    display.AddViewNodeID(view.GetID())
-    display.SetVisibility(True)
+    if display is not None:
+        display.RemoveAllViewNodeIDs()
+        display.AddViewNodeID(view.GetID())
+        display.SetVisibility(True)
+        return
+    scene = color_node.GetScene()
+    for copy in _grey_copies(scene):
+        _remove_copy(copy)
+    copy = scene.AddNewNodeByClass("vtkMRMLVectorVolumeNode", f"{grey_node.GetName()} grey")
+    copy.SetHideFromEditors(True)
+    copy.SetAttribute(_GREY_ATTRIBUTE, "1")
+    slicer.util.updateVolumeFromArray(copy, _grey_body(grey_node, color_node))
+    copy.CopyOrientation(color_node)
+    copy.SetVoxelVectorType(copy.VoxelVectorTypeColorRGB)
+    copy.SetAndObserveTransformNodeID(color_node.GetTransformNodeID())
+    display = rendering_show.show(copy, [view], rendering.opacity_of(color_node))
+    rendering.take_cut_of(display, rendering.display_node_of(color_node))
+    for node in (copy, display, display.GetVolumePropertyNode(), display.GetShaderPropertyNode()):
+        node.SetSaveWithScene(False)
 
 
-def _set_grey_property(node, grey_node, color_node) -> None:
-    from MedColorLib.rendering import presets
-
-    low, high = _window(grey_node)
-    opacity_function, colors = vtk.vtkPiecewiseFunction(), vtk.vtkColorTransferFunction()
-    for alpha, value in presets.opacity_curve(rendering.opacity_of(color_node)):
-        opacity_function.AddPoint(low + alpha / 255.0 * (high - low), value)
-    colors.AddRGBPoint(low, 0.0, 0.0, 0.0)
-    colors.AddRGBPoint(high, 1.0, 1.0, 1.0)
-    prop = node.GetVolumeProperty()
-    color_property = rendering.display_node_of(color_node).GetVolumePropertyNode().GetVolumeProperty()
-    with slicer.util.NodeModify(node):
-        prop.SetInterpolationTypeToLinear()
-        prop.ShadeOn()
-        prop.SetAmbient(presets.AMBIENT)
-        prop.SetDiffuse(presets.DIFFUSE)
-        prop.SetSpecular(presets.SPECULAR)
-        prop.SetSpecularPower(presets.SPECULAR_POWER)
-        prop.SetScalarOpacityUnitDistance(color_property.GetScalarOpacityUnitDistance())
-        node.SetScalarOpacity(opacity_function)
-        node.SetColor(colors)
-        gradient = vtk.vtkPiecewiseFunction()
-        gradient.AddPoint(0.0, presets.GRADIENT_OPACITY)
-        gradient.AddPoint(255.0, presets.GRADIENT_OPACITY)
-        node.SetGradientOpacity(gradient)
+def set_opacity(color_node, opacity: float) -> None:
+    """The grey half follows the slider of the coloured one."""
+    for copy in _grey_copies(color_node.GetScene()):
+        rendering.set_opacity(copy, opacity)
 
 
-def _window(grey_node) -> tuple[float, float]:
-    """(black, white) of the slice views; the whole range where there is no such thing."""
-    display = grey_node.GetVolumeDisplayNode()
-    if display is not None and display.IsA("vtkMRMLScalarVolumeDisplayNode") and display.GetWindow() > 0:
-        return display.GetLevel() - display.GetWindow() / 2, display.GetLevel() + display.GetWindow() / 2
-    low, high = grey_node.GetImageData().GetScalarRange()
-    return low, max(high, low + 1.0)
+def _grey_body(grey_node, color_node):
+    """(k, j, i, 3) uint8: the grey volume in the window it was coloured with, black where there is no colour."""
+    from MedColorLib.errors import InputError
+    from MedColorLib.rendering import grey_color_volume
+    from MedColorLib.rendering.grid import not_black
+    from MedColorLib.volume import Volume
+
+    voxels, body = slicer.util.arrayFromVolume(grey_node), not_black(slicer.util.arrayFromVolume(color_node))
+    settings = json.loads(color_node.GetAttribute(nodes.SETTINGS_ATTRIBUTE) or "{}")
+    window = settings.get("window")
+    try:
+        rgb = grey_color_volume(Volume(voxels), tuple(window) if window else None, body).rgb
+    except InputError:  # one value in the whole body: any window shows as much
+        rgb = grey_color_volume(Volume(voxels), (float(voxels.min()), float(voxels.max()) + 1.0)).rgb
+    rgb[~body] = 0
+    return rgb
+
+
+def _grey_copies(scene) -> list:
+    found = [scene.GetNthNodeByClass(n, "vtkMRMLVectorVolumeNode")
+             for n in range(scene.GetNumberOfNodesByClass("vtkMRMLVectorVolumeNode"))]  # fmt: skip
+    return [node for node in found if node.GetAttribute(_GREY_ATTRIBUTE)]
+
+
+def _remove_copy(copy) -> None:
+    scene, display = copy.GetScene(), rendering.display_node_of(copy)
+    if display is not None:
+        for node in (display.GetVolumePropertyNode(), display.GetShaderPropertyNode()):
+            if node is not None:
+                scene.RemoveNode(node)
+    nodes.remove(copy)
 
 
 def _link_cameras(scene, color_view, grey_view) -> None:
@@ -131,5 +157,6 @@ def _link_cameras(scene, color_view, grey_view) -> None:
         target.SetViewUp(source.GetViewUp())
         target.SetParallelProjection(source.GetParallelProjection())
         target.SetParallelScale(source.GetParallelScale())
+        target.ResetClippingRange()  # it belongs to the place the camera had before: nothing would be seen
     for view in (color_view, grey_view):
         view.SetLinkedControl(True)

@@ -9,6 +9,7 @@ that goes with it.
 from __future__ import annotations
 
 import contextlib
+import functools
 import importlib.metadata
 import importlib.util
 import os
@@ -19,13 +20,38 @@ import tempfile
 import slicer
 from slicer.i18n import tr as _
 
+from MedColorLib.errors import MissingPackageError
+
 REQUESTER = "MedColor"
 _REQUIREMENTS = os.path.join(os.path.dirname(os.path.dirname(__file__)), "Resources", "requirements.txt")
 _MODULE_OF = {"opencv-contrib-python-headless": "cv2"}  # elsewhere package and module have one name
 
 
-class NotInstalled(Exception):  # a user's decision as often as an error
+class NotInstalled(MissingPackageError):  # a user's decision as often as an error
     """A package is missing; the message says which, and how to get it."""
+
+
+def absent(error: ModuleNotFoundError) -> NotInstalled:
+    """The error to raise where an import failed."""
+    return NotInstalled(
+        _(
+            "The Python package {name} is missing. Press Apply in the module MedColor, or call installPackages() of its "
+            "logic; both ask before anything is installed."
+        ).format(name=(error.name or str(error)).split(".")[0])
+    )
+
+
+def needs_packages(method):
+    """For what the console calls: a package that is missing is a MedColorError with its remedy, whatever imports it."""
+
+    @functools.wraps(method)
+    def checked(*arguments, **options):
+        try:
+            return method(*arguments, **options)
+        except ModuleNotFoundError as error:
+            raise absent(error) from error
+
+    return checked
 
 
 def requirements() -> list[str]:

@@ -10,9 +10,10 @@ import slicer
 from slicer.i18n import tr as _
 from slicer.ScriptedLoadableModule import ScriptedLoadableModuleLogic
 
-from . import comparison, rendering, rendering_show, scene
+from . import comparison, cut, dependencies, light, rendering, rendering_show, scene
 from . import labels as labels_of
 from . import references as references_of
+from .dependencies import needs_packages
 from .parameters import MedColorParameterNode
 
 _LOG = logging.getLogger("MedColor")
@@ -32,10 +33,20 @@ class MedColorLogic(ScriptedLoadableModuleLogic):
     to do, `MedColorLib.errors.Cancelled` when `cancelled()` said so. In both cases the scene is as it was.
     """
 
+    @staticmethod
+    def installPackages() -> None:
+        """Install the Python packages that a run needs and Slicer lacks; asks first.
+
+        Raises:
+            MedColorLib.errors.MissingPackageError: declined, or it did not work; the message says what to do.
+        """
+        dependencies.ensure()
+
     def getParameterNode(self) -> MedColorParameterNode:
         """The choices of the panel, kept in the scene."""
         return MedColorParameterNode(super().getParameterNode())
 
+    @needs_packages
     def process(  # the console's one call; everything but the first two has a default
         self,
         inputVolume,
@@ -81,7 +92,7 @@ class MedColorLogic(ScriptedLoadableModuleLogic):
         start = time.monotonic()
         settings = self._settings(settings, options)
         self._check_output(outputVolume, inputVolume)
-        volume = scene.volume_from_node(inputVolume)
+        volume, voxels = scene.volume_from_node(inputVolume), scene.voxel_state(inputVolume)
         region = scene.region_from_roi(roi, inputVolume)
         settings = scene.settings_for_region(settings, region, inputVolume)
         pictures = references_of.references_from(references, inputVolume)
@@ -92,12 +103,13 @@ class MedColorLogic(ScriptedLoadableModuleLogic):
             return scene.only_inside(colored, region)
 
         result = compute() if run is None else run(compute)
-        self._check_still_there(inputVolume, outputVolume, volume.array.shape)
+        self._check_still_there(inputVolume, outputVolume, voxels)
         node = scene.publish(result, inputVolume, outputVolume, dataclasses.asdict(settings))
         rendering.refresh(node)
         _LOG.info("coloured in %.1f s", time.monotonic() - start)
         return node
 
+    @needs_packages
     def preview(  # everything after the third has a default
         self,
         inputVolume,
@@ -119,13 +131,13 @@ class MedColorLogic(ScriptedLoadableModuleLogic):
             labels, referenceLabels, labelGroups: as for `process`.
 
         Returns:
-            A vector volume node of one slice, at its place in space; not saved with the scene.
+            A vector volume node of one slice (three voxels thick), at its place in space; not saved with the scene.
         """
         import MedColorLib
         from MedColorLib.volume import ColorVolume
 
         settings = self._draft(settings or MedColorLib.Settings(), (sliceIndex, sliceIndex + 1))
-        volume = scene.volume_from_node(inputVolume)
+        volume, voxels = scene.volume_from_node(inputVolume), scene.voxel_state(inputVolume)
         pictures = references_of.references_from(references, inputVolume)
         guard = labels_of.guard_from(labels, inputVolume, referenceLabels, labelGroups)
 
@@ -133,15 +145,19 @@ class MedColorLogic(ScriptedLoadableModuleLogic):
             return MedColorLib.colorize(volume, pictures, settings, None, cancelled, guard=guard)
 
         result = compute() if run is None else run(compute)
-        self._check_still_there(inputVolume, previous, volume.array.shape)
+        self._check_still_there(inputVolume, previous, voxels)
         slab, offset = scene.slab_at(inputVolume, sliceIndex)
-        plane = ColorVolume(result.rgb[slab], result.ijk_to_ras, result.report)
+        # three times the same: linear interpolation between slice and black outside it would darken its faces
+        axis = scene.stack_of(inputVolume)[0].axes[0]
+        plane = ColorVolume(result.rgb[slab].repeat(3, axis=axis), result.ijk_to_ras, result.report)
+        offset = tuple(first - (2 - n == axis) for n, first in enumerate(offset))
         name = f"{inputVolume.GetName()} preview"
         node = scene.publish(plane, inputVolume, previous, dataclasses.asdict(settings), name)
         node.SetSaveWithScene(False)
         scene.place_part(node, inputVolume, offset)
         return node
 
+    @needs_packages
     def plan(  # everything after the second has a default
         self, inputVolume, references, settings=None, roi=None, labels=None, referenceLabels=None, labelGroups=None
     ):
@@ -152,6 +168,7 @@ class MedColorLogic(ScriptedLoadableModuleLogic):
         """
         return self.planner(inputVolume, references, settings, roi, labels, referenceLabels, labelGroups)()
 
+    @needs_packages
     def planner(  # everything after the second has a default
         self, inputVolume, references, settings=None, roi=None, labels=None, referenceLabels=None, labelGroups=None
     ):
@@ -165,6 +182,7 @@ class MedColorLogic(ScriptedLoadableModuleLogic):
         guard = labels_of.guard_from(labels, inputVolume, referenceLabels, labelGroups)
         return lambda: MedColorLib.make_plan(volume, pictures, settings, guard=guard)
 
+    @needs_packages
     def recommend(  # everything after the second has a default
         self, inputVolume, libraryFolder, top=3, sliceIndex=None, features="auto", device="auto", job=None, run=None
     ):
@@ -188,6 +206,7 @@ class MedColorLogic(ScriptedLoadableModuleLogic):
 
         return compute() if run is None else run(compute)
 
+    @needs_packages
     def showVolumeRendering(self, volumeNode, viewNodes=None, opacity=None):
         """Show a result in 3-D (in every view, or in the given view nodes); the display is created the first time.
 
@@ -207,6 +226,7 @@ class MedColorLogic(ScriptedLoadableModuleLogic):
         """Hide the 3-D display of a volume; its settings stay."""
         rendering.hide(volumeNode)
 
+    @needs_packages
     def resetVolumeRendering(self, volumeNode) -> None:
         """MedColor's own opacity curve, lighting and interpolation, whatever was changed."""
         rendering.reset(volumeNode)
@@ -214,8 +234,10 @@ class MedColorLogic(ScriptedLoadableModuleLogic):
     def setOpacity(self, volumeNode, opacity: float) -> None:
         """0 (nothing is seen) to 1 (solid)."""
         rendering.set_opacity(volumeNode, opacity)
+        comparison.set_opacity(volumeNode, opacity)
 
-    def showComparison(self, greyVolume, colorVolume, fade: float = 0.5):
+    @needs_packages
+    def showComparison(self, greyVolume, colorVolume, fade: float = 1.0):
         """Two 3-D views, grey and colour, with linked cameras; slice views with colour over grey.
 
         Returns:
@@ -226,6 +248,20 @@ class MedColorLogic(ScriptedLoadableModuleLogic):
     def hideComparison(self, greyVolume, colorVolume) -> None:
         """Back to the earlier layout; colour in every 3-D view, grey in none."""
         comparison.hide(greyVolume, colorVolume)
+
+    def setLight(self, realistic: bool) -> None:
+        """Realistic light in all 3-D views (see `light`), or the plain lamp at the camera."""
+        light.switch(slicer.mrmlScene, realistic)
+
+    def setCut(self, volumeNode, kind: str) -> None:
+        """What is cut away in 3-D: "none", "slice" (beyond the red slice, which it follows), "box"."""
+        from MedColorLib.errors import SettingsError
+
+        if kind not in cut.CUTS:
+            raise SettingsError(
+                _("There is no cut {kind}; there are {known}.").format(kind=kind, known=", ".join(cut.CUTS))
+            )
+        cut.set_cut(volumeNode, kind)
 
     def setFade(self, fade: float) -> None:
         """0: slice views show grey alone; 1: colour alone."""
@@ -266,12 +302,11 @@ class MedColorLogic(ScriptedLoadableModuleLogic):
             )
 
     @staticmethod
-    def _check_still_there(input_node, output_node, shape) -> None:
+    def _check_still_there(input_node, output_node, voxels) -> None:
         from MedColorLib.errors import InputError
 
         for node in (input_node, output_node):
             if node is not None and (node.GetScene() is None or not node.GetScene().IsNodePresent(node)):
                 raise InputError(_("A volume was removed while it was being coloured; nothing was changed."))
-        image = input_node.GetImageData()
-        if image is None or image.GetDimensions()[::-1] != tuple(shape):
+        if scene.voxel_state(input_node) != voxels:
             raise InputError(_("The volume was changed while it was being coloured; nothing was changed. Apply again."))

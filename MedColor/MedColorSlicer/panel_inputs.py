@@ -125,7 +125,7 @@ class InputsPart:
     # --- recommended pictures ----------------------------------------------------------------------------------------
 
     def _onRecommend(self, _checked=False) -> None:
-        self.panel.runJob(self._recommend)
+        self.panel.runJob(self._recommend, volume=self.panel.parameters.inputVolume)
 
     def _recommend(self, job) -> str:
         p = self.panel.parameters

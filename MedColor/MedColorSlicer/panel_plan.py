@@ -33,6 +33,8 @@ class PlanPart:
         self._poll.setInterval(_POLL_MS)
         self._delay.timeout.connect(self.ask)
         self._poll.timeout.connect(self._look)
+        self.ui.planDetailsButton.toggled.connect(self._onDetails)
+        self.ui.planDetailsButton.enabled = False
 
     def changed(self) -> None:
         """Something the plan depends on may have changed."""
@@ -54,12 +56,16 @@ class PlanPart:
         missing = panel.whatIsMissing()
         if missing:
             self._asked = None
-            self.ui.planText.plainText = missing
+            self._tell(missing)
             return
         if dependencies.torch_missing() or dependencies.missing():
-            self.ui.planText.plainText = _(
-                "Python packages are missing: {names}. Apply asks before it installs them; the plan is shown after that."
-            ).format(names=", ".join((["torch"] if dependencies.torch_missing() else []) + dependencies.missing()))
+            names = ", ".join((["torch"] if dependencies.torch_missing() else []) + dependencies.missing())
+            self._tell(
+                _(
+                    "Python packages are missing: {names}. Apply asks before it installs them; the plan is shown after "
+                    "that."
+                ).format(names=names)
+            )
             return
         question = self._question(p)
         if question == self._asked:
@@ -72,9 +78,9 @@ class PlanPart:
             self._settings, pictures = parameters.settings_from(p), panel.inputs.references()
             compute = panel.logic.planner(p.inputVolume, pictures, self._settings, p.roi, p.labels)
         except Exception as error:  # what is wrong is said in the plan's place
-            self.ui.planText.plainText = panel.explain(error)
+            self._tell(panel.explain(error))
             return
-        self.ui.planText.plainText = _("Looking at the volume...")
+        self._tell(_("Looking at the volume..."))
         self._answer = {}
         self._worker = threading.Thread(target=_work, args=(compute, self._answer), daemon=True, name="MedColor plan")
         self._worker.start()
@@ -100,7 +106,7 @@ class PlanPart:
             self._stale = False
             self.ask()
         elif "error" in self._answer:
-            self.ui.planText.plainText = self.panel.explain(self._answer["error"])
+            self._tell(self.panel.explain(self._answer["error"]))
         else:
             self._show(self._answer["plan"])
 
@@ -112,9 +118,22 @@ class PlanPart:
         # columns of spaces are for fixed-width type; the panel has none
         text = re.sub(r"(?m)^  (\w[\w ]*?) {2,}", r"\1: ", plan.text())
         expected = _("Colour error to expect: {error}").format(error=error.text() if error else NOT_MEASURED)
-        self.ui.planText.plainText = f"{text}\n{expected}"
         self._slices = len(plan.slices)
         self.showTimes()
+        about = running.readable_seconds(seconds_per_slice(self._settings.preset) * max(self._slices, 1))
+        short = _("{slices} slices, about {time} with {features} features.").format(
+            slices=self._slices, time=about, features=plan.features
+        )
+        self._tell(f"{short}\n{expected}", f"{text}\n{expected}")
+
+    def _tell(self, short: str, details: str = "") -> None:
+        """Two lines at most in the panel; all of it behind the button."""
+        self.ui.planLabel.text, self.ui.planText.plainText = short, details or short
+        self.ui.planDetailsButton.enabled = bool(details)
+        self._onDetails()
+
+    def _onDetails(self, *_checked) -> None:
+        self.ui.planText.visible = bool(self.ui.planDetailsButton.checked and self.ui.planDetailsButton.enabled)
 
     def showTimes(self) -> None:
         """Beside the names of the presets, how long each may take; nothing before there is a plan."""

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import slicer
+import vtk
 from slicer.i18n import tr as _
 
 from . import comparison, scene
 from .parameters import settings_from
+
+_TILT = 0.9998  # cosine of the angle between slice and view up to which they count as parallel: about 1 degree
 
 
 class PreviewPart:
@@ -15,6 +18,7 @@ class PreviewPart:
     def __init__(self, panel) -> None:
         self.panel = panel
         self._node = None
+        self._earlier = None  # (slice view, its matrix) before it was turned to a tilted volume
         panel.ui.previewButton.clicked.connect(self._onPreview)
 
     def remove(self) -> None:
@@ -22,10 +26,16 @@ class PreviewPart:
         node, self._node = self._node, None
         if node is not None and slicer.mrmlScene.IsNodePresent(node):
             scene.remove(node)
+        if self._earlier:
+            view, matrix = self._earlier
+            self._earlier = None
+            if slicer.mrmlScene.IsNodePresent(view):
+                view.GetSliceToRAS().DeepCopy(matrix)
+                view.UpdateMatrices()
 
     def forget(self) -> None:
         """The scene removes the node itself."""
-        self._node = None
+        self._node, self._earlier = None, None
 
     def onNodeRemoved(self, node) -> None:
         """The user removed the preview."""
@@ -33,7 +43,7 @@ class PreviewPart:
             self._node = None
 
     def _onPreview(self, _checked=False) -> None:
-        self.panel.runJob(self._preview)
+        self.panel.runJob(self._preview, volume=self.panel.parameters.inputVolume)
 
     def _preview(self, job) -> str:
         p = self.panel.parameters
@@ -50,12 +60,47 @@ class PreviewPart:
             labels=p.labels,
         )
         comparison.overlay(slicer.mrmlScene, grey, self._node, 1.0)
-        return _("Preview of slice {index}, at draft quality.").format(index=index)
+        text = _("Preview of slice {index}, at draft quality.").format(index=index)
+        return " ".join(part for part in (text, self._turned_to(grey)) if part)
+
+    def _turned_to(self, grey) -> str:
+        """Turn the red view to the slices of a tilted volume, which it would cut to a stripe; what was done, or why not."""
+        transform = grey.GetParentTransformNode()
+        if transform is not None and not transform.IsTransformToWorldLinear():
+            return _(
+                "The volume is under a non-linear transform: slice views cut the bent slice where they meet it. Harden the "
+                "transform to preview what they show."
+            )
+        view = slicer.mrmlScene.GetNodeByID(_RED)
+        if view is None or _parallel(view, grey):
+            return ""
+        if self._earlier is None:
+            earlier = vtk.vtkMatrix4x4()
+            earlier.DeepCopy(view.GetSliceToRAS())
+            self._earlier = (view, earlier)
+        view.RotateToVolumePlane(grey)
+        return _("The volume is tilted: the red view was turned to its slices, until you leave the module or apply.")
+
+
+_RED = "vtkMRMLSliceNodeRed"
+
+
+def _parallel(view, node) -> bool:
+    """Whether a slice view shows whole slices of a volume."""
+    import numpy as np
+
+    order, _count = scene.stack_of(node)
+    axes = scene.ijk_to_world(node)[:3, :3]
+    rows, columns = (axes[:, 2 - axis] for axis in order.axes[1:])
+    normal = np.cross(rows, columns)
+    to_ras = view.GetSliceToRAS()
+    shown = [to_ras.GetElement(axis, 2) for axis in range(3)]
+    return abs(normal @ shown) >= _TILT * np.linalg.norm(normal)
 
 
 def current_slice(node) -> int:
     """Number of the slice of `node` at the centre of the red slice view; the middle one without such a view."""
-    view = slicer.mrmlScene.GetNodeByID("vtkMRMLSliceNodeRed")
+    view = slicer.mrmlScene.GetNodeByID(_RED)
     if view is None:
         return scene.stack_of(node)[1] // 2
     to_ras = view.GetSliceToRAS()

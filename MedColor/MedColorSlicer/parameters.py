@@ -53,8 +53,9 @@ class MedColorParameterNode:
 
     outputVolume: vtkMRMLVectorVolumeNode
     confidence: bool = False
-    opacity: Annotated[float, WithinRange(0.0, 1.0)] = 0.8
-    fade: Annotated[float, WithinRange(0.0, 1.0)] = 0.5
+    show3D: bool = True  # whether Apply shows the result in 3-D views, too
+    opacity: Annotated[float, WithinRange(0.0, 1.0)] = 0.5
+    fade: Annotated[float, WithinRange(0.0, 1.0)] = 1.0
 
 
 def resolved_smoother(parameters) -> str:

@@ -22,6 +22,7 @@ import zlib
 
 import slicer
 import vtk
+from slicer.i18n import tr as _
 
 OPACITY_ATTRIBUTE = "MedColor.Opacity"  # on the display node: the slider's value, 0..1
 AXIS_ATTRIBUTE = "MedColor.OpacityAxis"  # on the display node: luminance range and unit distance behind the curve
@@ -140,6 +141,23 @@ def has_medcolor_look(display) -> bool:
         function.GetNodeValue(index, values)
         points.append(tuple(round(value, 3) for value in values[:4]))
     return points == _FINGERPRINT and not node.GetVolumeProperty().GetIndependentComponents()
+
+
+def view_problem(volume_node) -> str:
+    """Why 3-D views cannot show a volume, as a sentence that says what to do; empty if they can."""
+    transform = volume_node.GetParentTransformNode() if volume_node else None
+    if transform is None or transform.IsTransformToWorldLinear():
+        return ""
+    return _(
+        "3-D views cannot show {name} under the non-linear transform {transform}: harden the transform (module Data, right "
+        "click on the volume, Harden transform)."
+    ).format(name=volume_node.GetName(), transform=transform.GetName())
+
+
+def take_cut_of(display, other) -> None:
+    """Crop a display as another one is cropped."""
+    display.SetAndObserveROINodeID(other.GetROINodeID() if other else None)
+    display.SetCroppingEnabled(bool(other and other.GetCroppingEnabled()))
 
 
 def measured_axis(volume_node) -> dict:

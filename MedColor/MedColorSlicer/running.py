@@ -7,6 +7,8 @@ import queue
 import threading
 import time
 
+import slicer
+
 _POLL_SECONDS = 0.03
 
 
@@ -17,6 +19,7 @@ class Job:
         self._lock = threading.Lock()
         self._cancel = threading.Event()
         self._fraction, self._text = 0.0, ""
+        self.reason = ""  # why it was cancelled, if not by the user
         self._start = time.monotonic()
 
     def progress(self, fraction: float, text: str = "") -> None:
@@ -28,8 +31,9 @@ class Job:
         """To be asked by the library from the worker."""
         return self._cancel.is_set()
 
-    def cancel(self) -> None:
-        """The user's decision; the worker stops at its next question."""
+    def cancel(self, reason: str = "") -> None:
+        """The user's decision, or what the scene leaves no other choice but; the worker stops at its next question."""
+        self.reason = self.reason or reason
         self._cancel.set()
 
     def state(self) -> tuple[float, str, float | None]:
@@ -115,3 +119,14 @@ def readable_seconds(seconds: float) -> str:
         return f"{seconds} s"
     minutes = round(seconds / 60)
     return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"
+
+
+_shown_status = [""]
+
+
+def status(text: str) -> None:
+    """Show a text in the status bar of Slicer's window, wherever the user is; the same text only once."""
+    if text != _shown_status[0]:
+        _shown_status[0] = text
+        if slicer.util.mainWindow() is not None:
+            slicer.util.showStatusMessage(text)

@@ -13,6 +13,7 @@ SETTINGS_ATTRIBUTE = "MedColor.Settings"
 REPORT_ATTRIBUTE = "MedColor.Report"
 INPUT_ROLE = "MedColorInput"
 CONFIDENCE_ROLE = "MedColorConfidence"  # on the result: the volume of confidence that belongs to it
+_CONFIDENCE_ATTRIBUTE = "MedColor.Confidence"  # on that volume: it is nothing to be coloured
 
 
 def input_problem(node) -> str:
@@ -24,9 +25,60 @@ def input_problem(node) -> str:
         return _("The volume has been removed from the scene; select another one.")
     if node.IsA("vtkMRMLLabelMapVolumeNode") or node.IsA("vtkMRMLSegmentationNode"):
         return _("{name} is a label map; select the grey volume it was drawn on.").format(name=name)
+    return _kind_problem(node) or _voxel_problem(node)
+
+
+def _kind_problem(node) -> str:
+    name = node.GetName()
+    if node.IsA("vtkMRMLSequenceNode"):
+        return _(
+            "{name} is a sequence of volumes; select the volume that its sequence browser shows, one time point after "
+            "the other."
+        ).format(name=name)
+    if not node.IsA("vtkMRMLVolumeNode"):
+        return _("{name} is no volume; select a scalar (grey) volume.").format(name=name)
     if node.IsA("vtkMRMLTensorVolumeNode") or not node.IsA("vtkMRMLScalarVolumeNode"):
         return _("{name} has several values per voxel; select a scalar (grey) volume.").format(name=name)
-    return _voxel_problem(node)
+    return ""
+
+
+def is_confidence(node) -> bool:
+    """Whether a volume is one of MedColor's own volumes of confidence."""
+    return bool(node.GetAttribute(_CONFIDENCE_ATTRIBUTE))
+
+
+def may_be_filled_from(output_node, input_node) -> bool:
+    """Whether a volume can take the colours of another one without losing those of a third."""
+    source = output_node.GetNodeReference(INPUT_ROLE)
+    return source is input_node or (source is None and not output_node.GetAttribute(REPORT_ATTRIBUTE))
+
+
+def result_of(input_node):
+    """The latest volume of the scene that was made from this one and is saved with the scene; None without."""
+    found = [
+        node
+        for node in slicer.util.getNodesByClass("vtkMRMLVectorVolumeNode")
+        if node.GetNodeReference(INPUT_ROLE) is input_node and node.GetSaveWithScene()
+        and node.GetAttribute(REPORT_ATTRIBUTE)
+    ]  # fmt: skip
+    return found[-1] if found else None
+
+
+def behind(*nodes) -> list:
+    """These nodes and what their look depends on: transforms and 3-D displays; None is left out."""
+    found = []
+    for start in nodes:
+        node = start
+        while node is not None:
+            found.append(node)
+            node = node.GetParentTransformNode() if node.IsA("vtkMRMLTransformableNode") else None
+    return found
+
+
+def voxel_state(node) -> tuple:
+    """What changes whenever the voxels of a volume do."""
+    image = node.GetImageData()
+    return (image.GetAddressAsString(""), image.GetMTime()) if image else ()
 
 
 def _voxel_problem(node) -> str:
@@ -181,7 +233,7 @@ def publish(color_volume, input_node, output_node=None, settings: dict | None = 
     }
     node = output_node
     if node is None:
-        name = scene.GenerateUniqueName(name or f"{input_node.GetName()} colored")
+        name = scene.GenerateUniqueName(name or f"{input_node.GetName()} coloured")
         node = scene.AddNewNodeByClass("vtkMRMLVectorVolumeNode", name)
     try:
         _fill(node, color_volume.rgb, input_node)
@@ -216,6 +268,7 @@ def _publish_confidence(confidence, node, input_node) -> None:
             display = volume.GetVolumeDisplayNode()
             display.SetAutoWindowLevel(0)
             display.SetWindowLevel(100.0, 50.0)  # per cent
+            volume.SetAttribute(_CONFIDENCE_ATTRIBUTE, "1")
             _place_beside(volume, input_node)
         node.SetNodeReferenceID(CONFIDENCE_ROLE, volume.GetID())
     except BaseException:

@@ -47,7 +47,7 @@ class MedColorTest(ScriptedLoadableModuleTest):
         self.assertTrue(result.IsA("vtkMRMLVectorVolumeNode"))
         self.assertEqual(result.GetVoxelVectorType(), result.VoxelVectorTypeColorRGB)
         self.assertEqual(result.GetTransformNodeID(), transform.GetID())
-        self.assertEqual(result.GetName(), "grey colored")
+        self.assertEqual(result.GetName(), "grey coloured")
         got = vtk.vtkMatrix4x4()
         result.GetIJKToRASMatrix(got)
         np.testing.assert_allclose(slicer.util.arrayFromVTKMatrix(got), slicer.util.arrayFromVTKMatrix(matrix))
@@ -133,7 +133,7 @@ class MedColorTest(ScriptedLoadableModuleTest):
     def test_known_colors_in_the_3d_view(self):
         view = self._three_d_view()
         result = _two_colors()
-        display = _logic().showVolumeRendering(result)
+        display = _logic().showVolumeRendering(result, opacity=0.88)
         display.GetVolumePropertyNode().GetVolumeProperty().ShadeOff()
         self._assert_both_colors(_picture(view, result))
         display.GetVolumePropertyNode().CopyContent(slicer.modules.volumerendering.logic().GetPresetByName("CT-Bones"))
@@ -151,6 +151,10 @@ class MedColorTest(ScriptedLoadableModuleTest):
         color_view, grey_view = _logic().showComparison(grey, result)
         self.assertNotEqual(color_view.GetID(), grey_view.GetID())
         self.assertEqual(manager.layout, slicer.vtkMRMLLayoutNode.SlicerLayoutDual3DView)
+        slicer.app.processEvents()
+        for index in range(2):
+            picture = _shot(manager.threeDWidget(index).threeDView())
+            self.assertGreater(picture.std(), 1.0, f"3-D view {index + 1} shows nothing")
         _logic().hideComparison(grey, result)
         self.assertEqual(manager.layout, before)
 
@@ -175,7 +179,7 @@ class MedColorTest(ScriptedLoadableModuleTest):
         self.assertFalse(
             [n for n in slicer.util.getNodesByClass("vtkMRMLVectorVolumeNode") if "preview" in n.GetName()]
         )
-        panel.ui.show3DCheckBox.click()
+        self.assertTrue(panel.ui.show3DCheckBox.checked, "the result is shown at once")
         if slicer.app.layoutManager() and slicer.app.layoutManager().threeDViewCount:
             self.assertIn("Done", panel.ui.statusLabel.text)  # nothing was found wrong with the view
         panel.ui.opacitySlider.value = 0.5
@@ -188,6 +192,39 @@ class MedColorTest(ScriptedLoadableModuleTest):
         panel.ui.compareCheckBox.click()
         panel.ui.show3DCheckBox.click()
         self.assertFalse(rendering.display_node_of(result).GetVisibility())
+
+    def test_panel_takes_what_comes_into_the_scene(self):
+        panel = self._panel()
+        self.assertIsNone(panel.parameters.inputVolume)
+        grey = _grey((12, 24, 24))
+        slicer.app.processEvents()
+        self.assertIs(panel.parameters.inputVolume, grey)
+        with tempfile.TemporaryDirectory() as folder:
+            bundle = os.path.join(folder, "scene.mrb")
+            self.assertTrue(slicer.mrmlScene.WriteToMRB(bundle))
+            slicer.mrmlScene.Clear(0)
+            slicer.app.processEvents()
+            self.assertIsNone(panel.parameters.inputVolume)
+            self.assertTrue(slicer.mrmlScene.ReadFromMRB(bundle))
+            slicer.app.processEvents()
+        self.assertEqual(panel.parameters.inputVolume.GetName(), "grey")
+
+    def test_cut_follows_the_red_slice(self):
+        from MedColorSlicer import cut
+
+        red = slicer.mrmlScene.GetNodeByID("vtkMRMLSliceNodeRed")
+        if red is None:
+            self.skipTest("no slice views; run without --no-main-window")
+        result = _two_colors()
+        display = _logic().showVolumeRendering(result)
+        self._panel().parameters.outputVolume = result
+        _logic().setCut(result, "slice")
+        bounds = [0.0] * 6
+        for offset in (12.0, 30.0):
+            red.SetSliceOffset(offset)
+            display.GetROINode().GetRASBounds(bounds)
+            self.assertTrue(any(abs(face - offset) < 1e-3 for face in bounds[4:]), (bounds, offset))
+        self.assertEqual(cut.cut_of(result), "slice")
 
     def test_panel_values_of_the_smoother(self):
         from MedColorSlicer import parameters
@@ -363,8 +400,6 @@ def _curve(display):
 
 def _picture(view, volume_node):
     """(height, width, 3) of a 3-D view on black, looking from the front at the volume."""
-    from vtk.util.numpy_support import vtk_to_numpy
-
     node = view.mrmlViewNode()
     node.SetBackgroundColor(0, 0, 0)
     node.SetBackgroundColor2(0, 0, 0)
@@ -380,7 +415,15 @@ def _picture(view, volume_node):
     camera.SetViewUp(0, 0, 1)
     window.GetRenderers().GetFirstRenderer().ResetCameraClippingRange()
     slicer.app.processEvents()  # a window that was just shown, or laid out anew, is not drawn before this
+    return _shot(view)
+
+
+def _shot(view):
+    """(height, width, 3) of a 3-D view as it is."""
+    from vtk.util.numpy_support import vtk_to_numpy
+
     view.forceRender()
+    window = view.renderWindow()
     grab = vtk.vtkWindowToImageFilter()
     grab.SetInput(window)
     grab.ReadFrontBufferOff()

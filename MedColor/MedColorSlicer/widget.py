@@ -1,9 +1,7 @@
-"""The panel's life cycle, Apply and Cancel, and the one place where errors become messages."""
+"""The panel's life cycle, and how it keeps in line with a scene that changes while it is open."""
 
 from __future__ import annotations
 
-import json
-import logging
 import sys
 
 import slicer
@@ -12,27 +10,26 @@ from slicer.i18n import tr as _
 from slicer.ScriptedLoadableModule import ScriptedLoadableModuleWidget
 from slicer.util import VTKObservationMixin
 
-from . import comparison, dependencies, labels, rendering_guard, running, scene
+from . import labels, rendering_guard, scene
 from .logic import MedColorLogic
 from .panel_display import DisplayPart
 from .panel_inputs import InputsPart
-from .panel_plan import PlanPart, learn
+from .panel_plan import PlanPart
 from .panel_preview import PreviewPart
+from .panel_run import Runs
 from .panel_smoother import SmootherPart
-from .parameters import settings_from
-
-_LOG = logging.getLogger("MedColor")
+from .scene_watch import SceneWatch
 
 
-class MedColorWidget(ScriptedLoadableModuleWidget, VTKObservationMixin):
+class MedColorWidget(Runs, ScriptedLoadableModuleWidget, VTKObservationMixin):
     """The module's panel. Widgets are tied to the parameter node; the logic does the work."""
 
     def __init__(self, parent=None):
         ScriptedLoadableModuleWidget.__init__(self, parent)
         VTKObservationMixin.__init__(self)
         self.logic = None
-        self.job = None  # running.Job while something is being computed
-        self._inWork = None  # the volume it is computed from
+        self._message = ""
+        self._lastInput = None  # ID of the volume that the output was last brought in line with
         self._parameterNode = None
         self._guiTag, self._guiObservers, self._updateTag = None, [], None
         self._closed = False
@@ -53,9 +50,7 @@ class MedColorWidget(ScriptedLoadableModuleWidget, VTKObservationMixin):
         self.preview = PreviewPart(self)
         self.plan = PlanPart(self)
         self.ui.applyButton.clicked.connect(self.onApply)
-        self.addObserver(slicer.mrmlScene, slicer.mrmlScene.StartCloseEvent, self._onSceneStartClose)
-        self.addObserver(slicer.mrmlScene, slicer.mrmlScene.EndCloseEvent, self._onSceneEndClose)
-        self.addObserver(slicer.mrmlScene, slicer.mrmlScene.NodeRemovedEvent, self._onNodeRemoved)
+        self.watch = SceneWatch(slicer.mrmlScene, self)
         slicer.app.connect("lastWindowClosed()", self._onLastWindowClosed)
         self._showBusy(False)
         self._useParameterNode()
@@ -67,6 +62,7 @@ class MedColorWidget(ScriptedLoadableModuleWidget, VTKObservationMixin):
         slicer.app.disconnect("lastWindowClosed()", self._onLastWindowClosed)
         self.plan.stop()
         self._setParameterNode(None)
+        self.watch.stop()
         self.removeObservers()
 
     def _onLastWindowClosed(self):
@@ -95,24 +91,40 @@ class MedColorWidget(ScriptedLoadableModuleWidget, VTKObservationMixin):
 
     def _useParameterNode(self):
         self._setParameterNode(self.logic.getParameterNode())
-        if not self._parameterNode.inputVolume:
+        self._chooseInput()
+
+    def _chooseInput(self):
+        """The first volume that can be coloured, while none is chosen."""
+        if self._parameterNode and not self._parameterNode.inputVolume:
             for node in slicer.util.getNodesByClass("vtkMRMLScalarVolumeNode"):
-                if not scene.input_problem(node):
+                if not scene.input_problem(node) and not scene.is_confidence(node):
                     self._parameterNode.inputVolume = node
                     break
+
+    def _outputOfInput(self):
+        """A result belongs to the volume it was made from; another volume gets one of its own."""
+        p = self._parameterNode
+        chosen = p.inputVolume.GetID() if p.inputVolume else ""
+        if chosen == self._lastInput:
+            return
+        self._lastInput = chosen
+        if p.outputVolume and p.inputVolume and not scene.may_be_filled_from(p.outputVolume, p.inputVolume):
+            p.outputVolume = scene.result_of(p.inputVolume)
 
     def _setParameterNode(self, parameterNode):
         if self._parameterNode:
             self._disconnectControls()
             # not by the mixin: it would keep the wrapper, and every one of its own observers, until the panel is closed
             self._parameterNode.RemoveObserver(self._updateTag)
-        self._parameterNode = parameterNode
+        self._parameterNode, self._lastInput = parameterNode, None
         if parameterNode:
             self._connectControls()
             self.inputs.nameChoices()
             self.plan.showTimes()
             self._updateTag = parameterNode.AddObserver(vtk.vtkCommand.ModifiedEvent, self.update)
             self.update()
+        else:
+            self.watch.follow(())
 
     def _connectControls(self):
         """Tie the controls to the parameter node, and note every observer that this adds.
@@ -142,22 +154,36 @@ class MedColorWidget(ScriptedLoadableModuleWidget, VTKObservationMixin):
             self._parameterNode.RemoveObserver(tag)
         self._guiTag, self._guiObservers = None, []
 
-    def _onSceneStartClose(self, _caller, _event):
-        if self.job:
-            self.job.cancel()
-        self.preview.forget()
-        self._setParameterNode(None)
+    # --- the scene changes -------------------------------------------------------------------------------------------
 
-    def _onSceneEndClose(self, _caller, _event):
+    def onSceneStart(self):
+        """The scene is about to be closed, read or restored; the parameter node, too, may be exchanged."""
+        if self.job:
+            self.job.cancel(_("The scene was closed or another one opened; nothing was coloured."))
+        self.preview.forget()
+        self.display.forget()
+        self._setParameterNode(None)
+        self.say("")
+
+    def onSceneEnd(self):
+        """What the scene holds now; as on entering."""
         self.display.update()
-        if getattr(self.parent, "isEntered", True):
+        if not self._closed and getattr(self.parent, "isEntered", True):
             self._useParameterNode()
 
-    @vtk.calldata_type(vtk.VTK_OBJECT)
-    def _onNodeRemoved(self, _caller, _event, node):
-        if self.job and node is self._inWork:
-            self.job.cancel()
+    def onNodeRemoved(self, node):
+        """A node is gone."""
+        self.stopFor(node)
         self.preview.onNodeRemoved(node)
+
+    def onSceneChanged(self, volumesAdded: bool):
+        """Nodes came, went or changed."""
+        if self._closed or not self._parameterNode:
+            return
+        if volumesAdded and self.job is None:
+            self._chooseInput()
+        self.display.onSceneChanged()
+        self.update()
 
     # --- what can be done now ----------------------------------------------------------------------------------------
 
@@ -165,10 +191,14 @@ class MedColorWidget(ScriptedLoadableModuleWidget, VTKObservationMixin):
         """Bring the panel in line with the parameter node."""
         if not self._parameterNode or self._closed:
             return
+        self._outputOfInput()
+        p, ui = self._parameterNode, self.ui
+        nodes = (p.inputVolume, p.outputVolume, p.referenceNode, p.labels, p.roi)
+        self.watch.follow(scene.behind(*nodes, *self.display.watched()))
         self.inputs.update()
         self.smoother.update()
         self.display.update()
-        p, ui = self._parameterNode, self.ui
+        self.say(self._message)
         ui.windowLowSpinBox.enabled = ui.windowHighSpinBox.enabled = not p.windowAutomatic
         ui.firstSliceSpinBox.enabled = ui.lastSliceSpinBox.enabled = not p.allSlices
         if self.job is None:
@@ -195,112 +225,10 @@ class MedColorWidget(ScriptedLoadableModuleWidget, VTKObservationMixin):
             return _("The slice range must lie within 0 to {last}.").format(last=slices - 1)
         return ""
 
-    # --- running -----------------------------------------------------------------------------------------------------
-
-    def onApply(self, _checked=False):
-        """Apply, or Cancel while something runs."""
-        if self.job:
-            self.job.cancel()
-            self.ui.applyButton.enabled = False
-            self.say(_("Cancelling..."))
-            return
-        self.runJob(self._apply)
-
-    def _apply(self, job):
-        parameters = self._parameterNode
-        grey = parameters.inputVolume
-        node = self.logic.process(
-            grey,
-            self.inputs.references(),
-            parameters.outputVolume,
-            settings_from(parameters),
-            job.progress,
-            job.cancelled,
-            roi=parameters.roi,
-            run=self.runResponsive,
-            labels=parameters.labels,
-        )
-        self.preview.remove()
-        self._learn(node, job)
-        if self._parameterNode:  # None when the user went to another module meanwhile
-            parameters.outputVolume = node
-        comparison.overlay(slicer.mrmlScene, grey, node, parameters.fade)
-        return _("Done in {time}: {name}.").format(
-            time=running.readable_seconds(job.elapsed_seconds()), name=node.GetName()
-        )
-
-    @staticmethod
-    def _learn(node, job):
-        """How long this took, for the times shown beside the presets."""
-        report = json.loads(node.GetAttribute(scene.REPORT_ATTRIBUTE))
-        slices = len(report.get("plan", {}).get("slices", ()))
-        learn(report["settings"]["preset"], slices, job.elapsed_seconds())
-
-    def runJob(self, action, needsPackages: bool = True):
-        """Run `action(job)` with progress bar and Cancel; its text, or what went wrong, is shown below the buttons."""
-        if self.job:
-            return
-        self.job = running.Job()
-        self._inWork = self._parameterNode.inputVolume if self._parameterNode else None
-        self._showBusy(True)
-        self.say("")
-        try:
-            if needsPackages:
-                dependencies.ensure()
-            message = action(self.job)
-        except Exception as error:  # the one place where errors become messages
-            message = self.explain(error)
-        finally:
-            self.job, self._inWork = None, None
-            if not self._closed:
-                self._showBusy(False)
-        if not self._closed:
-            self.say(message or "")
-            self.update()
-
-    def runResponsive(self, function):
-        """Compute in a worker thread while the window lives on."""
-        return running.run_responsive(function, self._keepAlive)
-
-    def _keepAlive(self):
-        if not self._closed:
-            fraction, text, left = self.job.state()
-            bar = self.ui.progressBar
-            bar.value = round(1000 * fraction)
-            remaining = _(", {time} left").format(time=running.readable_seconds(left)) if left is not None else ""
-            bar.format = f"%p% {text}{remaining}"
-        slicer.app.processEvents()
-
-    def _showBusy(self, busy: bool):
-        ui = self.ui
-        for part in (ui.inputsCollapsibleButton, ui.advancedCollapsibleButton, ui.outputCollapsibleButton):
-            part.enabled = not busy
-        ui.previewButton.enabled = not busy
-        ui.progressBar.visible = busy
-        ui.progressBar.value = 0
-        ui.progressBar.format = "%p%"
-        ui.applyButton.text = _("Cancel") if busy else _("Apply")
-        if busy:
-            ui.applyButton.enabled = True
-            ui.applyButton.toolTip = _("Stop; the scene stays as it was.")
-
     # --- messages ----------------------------------------------------------------------------------------------------
 
     def say(self, text: str):
-        """A line below the buttons."""
-        self.ui.statusLabel.text = text
-
-    def explain(self, error: BaseException) -> str:
-        """What a person can do about an error; the log gets the rest."""
-        from MedColorLib.errors import Cancelled, MedColorError
-
-        if isinstance(error, Cancelled):
-            return _("Cancelled; the scene is as it was.")
-        if isinstance(error, (MedColorError, dependencies.NotInstalled)):
-            return str(error)
-        if isinstance(error, MemoryError):
-            return _("Not enough memory. Crop the volume, or choose the preset draft or a slice range.")
-        _LOG.error("unexpected error", exc_info=error)
-        return _("Unexpected error: {error}. The error log (View menu) has the details.").format(
-            error=f"{type(error).__name__}: {error}"
-        )
+        """A line below the buttons; what the state of the scene adds to it follows by itself."""
+        self._message = text
+        note = self.display.note() if self._parameterNode else ""
+        self.ui.statusLabel.text = " ".join(part for part in (text, note) if part)

@@ -120,7 +120,14 @@ def test_parameter_names_are_fields_of_the_parameter_node():
     tied = [p.findtext("string") for p in root.iter("property") if p.get("name") == "SlicerParameterName"]
     assert len(tied) == len(set(tied))
     assert set(tied) <= parameter_fields()
-    assert parameter_fields() - set(tied) == {"referencePath", "pickedReference", "roi", "labels", "smootherOptions"}
+    assert parameter_fields() - set(tied) == {
+        "referencePath",
+        "pickedReference",
+        "roi",
+        "labels",
+        "smootherOptions",
+        "show3D",
+    }
 
 
 def test_allow_list_agrees_with_an_introspected_slicer():
@@ -155,7 +162,7 @@ def test_names_used_in_the_code_are_in_the_ui():
 
 # Methods that the code calls and that are neither properties, signals nor slots; all of them are in Qt 5.15, CTK or qMRML.
 METHODS = {
-    "QComboBox": {"setItemText", "itemText"},
+    "QComboBox": {"addItem", "setItemText", "itemText"},
     "QListWidget": {"addItem"},
     "QWidget": {"layout", "grab", "property"},
     "qMRMLNodeComboBox": {"currentNode"},

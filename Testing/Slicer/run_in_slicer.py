@@ -1,13 +1,13 @@
 """Runs MedColorTest inside Slicer and ends Slicer with status 0 or 1:
 
-    Slicer --no-splash --testing --no-main-window --additional-module-paths MedColor \
-        --python-script Testing/Slicer/run_in_slicer.py
+    Slicer --no-splash --testing --no-main-window --additional-module-paths "$PWD/MedColor" \
+        --python-script "$PWD/Testing/Slicer/run_in_slicer.py"
 
-Without --no-main-window (under a virtual display if need be) the 3-D view is looked at too. With MEDCOLOR_SCREENSHOTS
-naming a folder, pictures of the window and of the panel are written there. Every test that was skipped is listed at the
-end with its reason; with MEDCOLOR_SKIP_NOTHING=1 a skipped test counts as a failure. So does an error in a slot or an
-observer, which Slicer would only print. What hangs for MEDCOLOR_TIMEOUT seconds (900) is ended with status 1, after the
-place where it hangs was printed.
+The paths are absolute, as Slicer wants them. Without --no-main-window (under a virtual display if need be) the 3-D view is
+looked at too. With MEDCOLOR_SCREENSHOTS naming a folder, pictures of the window and of the panel are written there. Every
+test that was skipped is listed at the end with its reason; with MEDCOLOR_SKIP_NOTHING=1 a skipped test counts as a failure.
+So does an error in a slot or an observer, which Slicer would only print. What hangs for MEDCOLOR_TIMEOUT seconds (900) is
+ended with status 1, after the place where it hangs was printed.
 """
 
 import faulthandler

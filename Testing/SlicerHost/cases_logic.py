@@ -153,11 +153,11 @@ def test_preview_is_one_slice_at_its_place_and_not_saved(logic, library):
     settings = library.calls[0][2]
     assert settings.slices == (4, 5)
     assert settings.preset == "draft"
-    assert slicer.util.arrayFromVolume(node).shape == (1, 8, 10, 3)
-    assert node.GetOrigin()[2] == pytest.approx(10.0)
+    assert slicer.util.arrayFromVolume(node).shape == (3, 8, 10, 3), "its faces, too"
+    assert node.GetOrigin()[2] == pytest.approx(10.0 - 2.5)
     assert not node.GetSaveWithScene()
     assert logic.preview(grey, [REFERENCE], 2, previous=node) is node
-    assert node.GetOrigin()[2] == pytest.approx(5.0)
+    assert node.GetOrigin()[2] == pytest.approx(5.0 - 2.5)
 
 
 def test_only_rgb_volumes_are_shown(logic):

@@ -67,7 +67,7 @@ def test_texts_are_translatable_as_written():
 def test_every_field_has_a_control_bound_both_ways(ready):
     from MedColorSlicer import parameters
 
-    hand_bound = {"referencePath", "pickedReference", "roi", "labels", "smootherOptions"}
+    hand_bound = {"referencePath", "pickedReference", "roi", "labels", "smootherOptions", "show3D"}
     bound = {w.property("SlicerParameterName"): w for w in vars(ready.ui).values() if w.property("SlicerParameterName")}
     fields = set(parameters.MedColorParameterNode.__annotations__)
     assert set(bound) == fields - hand_bound

@@ -7,7 +7,7 @@ import types
 
 import pytest
 import slicer
-from host_fixtures import color_node, label_node, node_ids, two_colors
+from host_fixtures import color_node, grey_node, label_node, node_ids, two_colors
 from panel_fixtures import shown
 
 # --- running ---------------------------------------------------------------------------------------------------------
@@ -19,7 +19,7 @@ def test_apply_colors_and_shows(ready, library):
     ready.parameters.seed = 5
     ready.ui.applyButton.click()
     result = ready.parameters.outputVolume
-    assert result.GetName() == "head colored"
+    assert result.GetName() == "head coloured"
     assert (library.calls[0][2].preset, library.calls[0][2].seed) == ("draft", 5)
     assert "Done" in ready.ui.statusLabel.text
     assert ready.ui.applyButton.text == "Apply"
@@ -40,7 +40,7 @@ def test_confidence_only_where_it_is_asked_for(ready, library):
     ready.ui.applyButton.click()
     assert library.calls[-1][2].confidence
     volume = result.GetNodeReference(scene.CONFIDENCE_ROLE)
-    assert volume.GetName() == "head colored confidence"
+    assert volume.GetName() == "head coloured confidence"
     assert ready.parameters.inputVolume is not volume
     ready.ui.previewButton.click()
     assert not library.calls[-1][2].confidence
@@ -130,7 +130,7 @@ def test_input_removed_while_running(ready, library):
 
 def test_left_while_running(ready, library):
     run_while(ready, library, ready.exit)
-    assert [n for n in slicer.util.getNodesByClass("vtkMRMLVectorVolumeNode") if n.GetName() == "head colored"]
+    assert [n for n in slicer.util.getNodesByClass("vtkMRMLVectorVolumeNode") if n.GetName() == "head coloured"]
     ready.enter()
     assert ready.ui.applyButton.enabled
 
@@ -272,11 +272,12 @@ def test_display_controls(ready):
     from MedColorSlicer import rendering
 
     ui = ready.ui
-    assert not ui.show3DCheckBox.enabled
-    assert "first" in ui.show3DCheckBox.toolTip
+    assert ui.show3DCheckBox.checked, "what Apply will do"
+    assert not ui.compareCheckBox.enabled
+    assert "first" in ui.compareCheckBox.toolTip
     result = color_node(two_colors(16, 6), "result")
     ready.parameters.outputVolume = result
-    assert ui.show3DCheckBox.enabled
+    assert not ui.show3DCheckBox.checked
     assert rendering.display_node_of(result) is None
     ui.show3DCheckBox.click()
     display = rendering.display_node_of(result)
@@ -295,7 +296,9 @@ def test_display_controls(ready):
 @pytest.mark.parametrize(("views", "words"), [(0, "no 3-D view"), (1, "")])
 def test_a_missing_view_is_said(ready, monkeypatch, views, words):
     """The window is not asked about OpenGL: that of Slicer's views always says no, for nobody tells it."""
-    manager = types.SimpleNamespace(threeDViewCount=views, resetThreeDViews=lambda: None)
+    view = types.SimpleNamespace(forceRender=lambda: None, scheduleRender=lambda: None)
+    widget = types.SimpleNamespace(threeDView=lambda: view)
+    manager = types.SimpleNamespace(threeDViewCount=views, threeDWidget=lambda _index: widget)
     monkeypatch.setattr(slicer.app, "layoutManager", lambda: manager)
     ready.parameters.outputVolume = color_node(two_colors(16, 6), "result")
     ready.ui.show3DCheckBox.click()
@@ -308,7 +311,11 @@ def test_comparison_controls(ready):
     composite = slicer.mrmlScene.AddNewNodeByClass("vtkMRMLSliceCompositeNode")
     ready.parameters.outputVolume = color_node(two_colors(16, 6), "result")
     ready.ui.compareCheckBox.click()
-    assert composite.GetForegroundOpacity() == 0.5
+    assert "not the one that was coloured" in ready.ui.statusLabel.text
+    assert not ready.ui.compareCheckBox.checked
+    ready.parameters.inputVolume = grey_node(shape=(16, 16, 16))
+    ready.ui.compareCheckBox.click()
+    assert composite.GetForegroundOpacity() == 1.0
     ready.ui.fadeSlider.value = 0.2
     assert composite.GetForegroundOpacity() == pytest.approx(0.2)
     ready.ui.compareCheckBox.click()

@@ -9,6 +9,7 @@ import slicer
 import vtk
 from host_fixtures import LEFT, RIGHT, color_node, grey_node, two_colors
 
+SOLID = 0.88  # hardly anything shines through
 SIZE = 120  # pixels; software rendering takes a third of a second for such a picture
 
 
@@ -58,7 +59,7 @@ def sides(picture):
 
 def test_known_colors_come_out_as_themselves(view, rendering, rendering_show):
     node = color_node(two_colors())
-    rendering_show.show(node)
+    rendering_show.show(node, opacity=SOLID)
     unshaded(rendering, node)
     picture = look(view, node)
     left, right = sides(picture)
@@ -71,7 +72,7 @@ def test_known_colors_come_out_as_themselves(view, rendering, rendering_show):
 def test_no_dark_rim(view, rendering, monkeypatch, with_shader, rendering_show):
     """Before white, a half transparent edge is lighter than the tissue; only a dark rim is darker."""
     node = color_node(two_colors())
-    display = rendering_show.show(node)
+    display = rendering_show.show(node, opacity=SOLID)
     unshaded(rendering, node)
     if not with_shader:  # what the shader replacement is for
         display.GetShaderPropertyNode().GetShaderProperty().ClearAllFragmentShaderReplacements()
@@ -85,7 +86,7 @@ def test_no_dark_rim(view, rendering, monkeypatch, with_shader, rendering_show):
 
 def test_shading_keeps_hue_and_stays_bright(view, rendering, rendering_show):
     node = color_node(two_colors())
-    rendering_show.show(node)
+    rendering_show.show(node, opacity=SOLID)
     left, right = sides(look(view, node))
     for color, known in ((left, LEFT), (right, RIGHT)):
         assert color.max() > 0.6 * 200
@@ -101,7 +102,7 @@ def test_curve_follows_the_luminance_range(view, rendering, scale, rendering_sho
     pictures = []
     for voxels in (rgb, anchored):
         node = color_node(voxels)
-        rendering_show.show(node)
+        rendering_show.show(node, opacity=SOLID)
         prop = unshaded(rendering, node)
         prop.SetScalarOpacityUnitDistance(0.2)  # the anchor also makes the body's box larger
         pictures.append(look(view, node))
@@ -122,7 +123,7 @@ def test_preset_applied_by_hand_is_repaired(host, view, rendering, preset, rende
 
 def test_independent_components_are_switched_off_again(view, rendering, rendering_show):
     node = color_node(two_colors())
-    display = rendering_show.show(node)
+    display = rendering_show.show(node, opacity=SOLID)
     before = look(view, node)
     display.GetVolumePropertyNode().GetVolumeProperty().SetIndependentComponents(True)
     assert np.abs(look(view, node) - before).max() <= 1
@@ -130,7 +131,7 @@ def test_independent_components_are_switched_off_again(view, rendering, renderin
 
 def test_reset_undoes_changes_by_hand(view, rendering, rendering_show):
     node = color_node(two_colors())
-    display = rendering_show.show(node)
+    display = rendering_show.show(node, opacity=SOLID)
     before = look(view, node)
     curve = vtk.vtkPiecewiseFunction()
     curve.AddPoint(0, 0)
@@ -165,7 +166,7 @@ def test_reopened_scene_looks_the_same(host, view, rendering, tmp_path, guarded,
 
 def test_preset_is_repaired_in_a_reopened_scene_too(host, view, rendering, tmp_path, rendering_show):
     node = color_node(two_colors())
-    rendering_show.show(node)
+    rendering_show.show(node, opacity=SOLID)
     before = look(view, node)
     assert host.scene.WriteToMRB(str(tmp_path / "scene.mrb"))
     host.scene.Clear(0)
@@ -178,7 +179,7 @@ def test_preset_is_repaired_in_a_reopened_scene_too(host, view, rendering, tmp_p
 
 def test_new_voxels_keep_the_user_curve_at_the_same_luminance(view, rendering, rendering_show):
     node = color_node(two_colors())
-    display = rendering_show.show(node)
+    display = rendering_show.show(node, opacity=SOLID)
     curve = vtk.vtkPiecewiseFunction()  # by hand: only what is brighter than luminance 120 is seen
     top = rendering.measured_axis(node)["range"][1]
     for luminance, opacity in ((0, 0), (119, 0), (121, 1), (255, 1)):
@@ -203,11 +204,11 @@ def test_display_is_created_only_when_asked_for_and_can_be_hidden(view, renderin
     assert rendering.display_node_of(node) is None
     rendering.hide(node)
     assert rendering.display_node_of(node) is None
-    rendering_show.show(node)
+    rendering_show.show(node, opacity=SOLID)
     assert look(view, node).max() > 0
     rendering.hide(node)
     assert look(view, node).max() == 0
-    rendering_show.show(node)
+    rendering_show.show(node, opacity=SOLID)
     assert look(view, node).max() > 0
 
 
@@ -215,7 +216,7 @@ def test_other_rendering_methods_are_replaced_by_gpu_ray_casting(host, view, ren
     node = color_node(two_colors())
     display = host.scene.AddNewNodeByClass("vtkMRMLCPURayCastVolumeRenderingDisplayNode")
     node.AddAndObserveDisplayNodeID(display.GetID())
-    assert rendering_show.show(node).IsA("vtkMRMLGPURayCastVolumeRenderingDisplayNode")
+    assert rendering_show.show(node, opacity=SOLID).IsA("vtkMRMLGPURayCastVolumeRenderingDisplayNode")
     assert not [n for n in slicer.util.getNodesByClass("vtkMRMLCPURayCastVolumeRenderingDisplayNode")]
     assert look(view, node).max() > 100
 
@@ -233,7 +234,7 @@ def test_less_opacity_shows_less(view, rendering, rendering_show):
 
 def test_slider_does_not_lose_the_look_of_a_saved_display(rendering, rendering_show):
     node = color_node(two_colors())
-    display = rendering_show.show(node)
+    display = rendering_show.show(node, opacity=SOLID)
     for opacity in (0.1, 0.9):
         rendering.set_opacity(node, opacity)
         assert rendering.opacity_of(node) == opacity
@@ -242,27 +243,27 @@ def test_slider_does_not_lose_the_look_of_a_saved_display(rendering, rendering_s
 
 def test_black_volume_can_be_shown(view, rendering, rendering_show):
     node = color_node(np.zeros((8, 8, 8, 3), np.uint8))
-    rendering_show.show(node)
+    rendering_show.show(node, opacity=SOLID)
     assert look(view, node).max() == 0
 
 
 def test_one_color_volume_can_be_shown(view, rendering, rendering_show):
     node = color_node(np.full((16, 16, 16, 3), (200, 120, 60), np.uint8))
-    rendering_show.show(node)
+    rendering_show.show(node, opacity=SOLID)
     unshaded(rendering, node)
     assert np.abs(look(view, node)[SIZE // 2, SIZE // 2] - LEFT).max() <= 8
 
 
 def test_views_created_later_show_it(view, rendering, second_view, rendering_show):
     node = color_node(two_colors())
-    rendering_show.show(node)
+    rendering_show.show(node, opacity=SOLID)
     assert look(second_view, node).max() > 100
     rendering_show.show(node, [view.node])
     assert look(second_view, node).max() == 0
     assert look(view, node).max() > 100
 
 
-def test_comparison_shows_grey_and_color_in_linked_views(host, view, second_view, rendering):
+def test_comparison_shows_grey_and_color_in_linked_views(host, view, second_view, rendering, rendering_show):
     from MedColorSlicer import comparison
 
     layout = slicer.vtkMRMLLayoutNode()
@@ -272,13 +273,14 @@ def test_comparison_shows_grey_and_color_in_linked_views(host, view, second_view
     rgb = two_colors()
     color = color_node(rgb)
     grey = slicer.util.addVolumeFromArray(rgb.max(axis=3).astype(np.int16), name="grey")
+    rendering_show.show(color, opacity=SOLID)
     views = comparison.show(grey, color, 0.3)
     assert [v.GetLayoutName() for v in views] == ["1", "2"]
     assert all(v.GetLinkedControl() for v in views)
     assert layout.GetViewArrangement() == layout.SlicerLayoutDual3DView
     assert composite.GetBackgroundVolumeID() == grey.GetID()
     assert composite.GetForegroundVolumeID() == color.GetID()
-    assert composite.GetForegroundOpacity() == 0.3
+    assert composite.GetForegroundOpacity() == pytest.approx(0.3)
     colored, plain = look(view, color), look(second_view, color)
     assert np.ptp(sides(colored)[0]) > 60
     assert np.ptp(sides(plain)[0]) <= 2
@@ -286,6 +288,118 @@ def test_comparison_shows_grey_and_color_in_linked_views(host, view, second_view
     comparison.hide(grey, color)
     assert layout.GetViewArrangement() == layout.SlicerLayoutFourUpView
     assert np.ptp(sides(look(second_view, color))[0]) > 60
+
+
+def camera_node(scene, view):
+    """The camera of a view, as Slicer has it: in perspective, and far from the body."""
+    for n in range(scene.GetNumberOfNodesByClass("vtkMRMLCameraNode")):
+        camera = scene.GetNthNodeByClass(n, "vtkMRMLCameraNode")
+        if camera.GetLayoutName() == view.node.GetLayoutName():
+            return camera
+    camera = scene.AddNewNodeByClass("vtkMRMLCameraNode")
+    camera.SetLayoutName(view.node.GetLayoutName())
+    return camera
+
+
+def seen_by(view, camera):
+    """What a view draws through the camera of its own, clipped as that says."""
+    view.make_plain()
+    view.renderer.SetActiveCamera(camera.GetCamera())
+    return view.render().astype(int)
+
+
+def test_comparison_is_seen_through_the_linked_camera(host, view, second_view, rendering_show):
+    """The camera is copied to where its own clipping range leaves nothing to be seen."""
+    from MedColorSlicer import comparison
+
+    rgb = two_colors()
+    color = color_node(rgb)
+    grey = slicer.util.addVolumeFromArray(rgb.max(axis=3).astype(np.int16), name="grey")
+    cameras = [camera_node(host.scene, each) for each in (view, second_view)]
+    cameras[0].SetPosition(23.5, 1209.0, 23.5)
+    cameras[0].SetFocalPoint(23.5, 23.5, 23.5)
+    cameras[0].SetViewUp(0, 0, 1)
+    cameras[0].GetCamera().SetViewAngle(4)
+    cameras[1].GetCamera().SetViewAngle(4)
+    cameras[1].GetCamera().SetClippingRange(0.01, 1000)
+    before = [each.renderer.GetActiveCamera() for each in (view, second_view)]
+    try:
+        rendering_show.show(color, opacity=SOLID)
+        comparison.show(grey, color)
+        assert cameras[1].GetPosition() == cameras[0].GetPosition()
+        plain = seen_by(second_view, cameras[1])
+        assert (plain.max(axis=2) > 60).mean() > 0.1
+        assert np.ptp(plain[SIZE // 2, SIZE // 2]) <= 2, "grey"
+    finally:
+        for each, camera in zip((view, second_view), before):
+            each.renderer.SetActiveCamera(camera)
+
+
+def test_grey_half_shows_the_body_alone_and_as_bright_as_the_colours(
+    host, view, second_view, rendering, rendering_show
+):
+    """A headrest beside the body, and a display window that is far too narrow."""
+    from MedColorSlicer import comparison
+
+    rgb = two_colors(left=(130, 130, 130), right=(130, 130, 130))
+    values = rgb[..., 0].astype(np.int16)
+    values[:, 42:46, :] = 130  # the headrest was not coloured
+    values[values == 0] = 5
+    values[0, 0, 0], values[0, 0, 1] = 0, 255
+    color = color_node(rgb)
+    color.SetAttribute("MedColor.Settings", '{"window": [0, 255]}')
+    grey = slicer.util.addVolumeFromArray(values, name="grey")
+    grey.CreateDefaultDisplayNodes()
+    grey.GetDisplayNode().SetAutoWindowLevel(False)
+    grey.GetDisplayNode().SetWindowLevel(10, 5)
+    rendering_show.show(color, opacity=SOLID)
+    comparison.show(grey, color)
+    coloured, plain = look(view, color), look(second_view, color)
+    assert coloured.max() > 60
+    assert np.abs(coloured - plain).max() <= 3
+    comparison.hide(grey, color)
+    assert rendering.display_node_of(grey) is None
+
+
+def test_second_comparison_draws_the_views_again(host, view, second_view, rendering, monkeypatch):
+    """A view that was hidden while the other one was turned does not notice by itself."""
+    import types
+
+    from MedColorSlicer import comparison
+
+    drawn = []
+    three_d_view = types.SimpleNamespace(scheduleRender=lambda: drawn.append(True))
+    widget = types.SimpleNamespace(threeDView=lambda: three_d_view)
+    manager = types.SimpleNamespace(threeDViewCount=2, threeDWidget=lambda _index: widget)
+    monkeypatch.setattr(slicer.app, "layoutManager", lambda: manager)
+    color, grey = color_node(two_colors()), grey_node(shape=(48, 48, 48))
+    for _time in range(2):
+        drawn.clear()
+        comparison.show(grey, color)
+        assert len(drawn) >= 2
+        comparison.hide(grey, color)
+
+
+@pytest.mark.parametrize("kind", ["none", "slice", "box"])
+def test_cuts_take_away_what_they_say(host, view, rendering, rendering_show, kind):
+    """Seen from behind; the upper part of the picture is the upper part of the ball."""
+    from MedColorSlicer import cut
+
+    node = color_node(two_colors())
+    rendering_show.show(node, opacity=1.0)
+    whole = look(view, node).max(axis=2) > 30
+    cut.set_cut(node, kind)
+    left = look(view, node).max(axis=2) > 30
+    upper, lower = left[: SIZE // 2 - 4], left[SIZE // 2 + 4 :]
+    assert lower.sum() > 0.95 * whole[SIZE // 2 + 4 :].sum()
+    if kind == "none":
+        assert (left == whole).all()
+    elif kind == "slice":
+        assert upper.sum() == 0
+    else:
+        assert 0 < upper.sum() < 0.9 * whole[: SIZE // 2 - 4].sum()
+    cut.set_cut(node, "none")
+    assert ((look(view, node).max(axis=2) > 30) == whole).all()
 
 
 def test_comparison_respects_a_grey_rendering_of_the_user(host, view, second_view, rendering):

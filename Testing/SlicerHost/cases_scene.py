@@ -103,7 +103,7 @@ def test_result_has_type_geometry_transform_and_place_of_the_input(nodes, scene)
     result = published(nodes, grey, rgb, settings={"preset": "draft"})
     assert result.GetClassName() == "vtkMRMLVectorVolumeNode"
     assert result.GetVoxelVectorType() == result.VoxelVectorTypeColorRGB
-    assert result.GetName() == "head colored"
+    assert result.GetName() == "head coloured"
     np.testing.assert_array_equal(slicer.util.arrayFromVolume(result), rgb)
     assert slicer.util.arrayFromVolume(result).dtype == np.uint8
     matrix = vtk.vtkMatrix4x4()
@@ -115,7 +115,7 @@ def test_result_has_type_geometry_transform_and_place_of_the_input(nodes, scene)
     assert json.loads(result.GetAttribute(nodes.SETTINGS_ATTRIBUTE)) == {"preset": "draft"}
     assert json.loads(result.GetAttribute(nodes.REPORT_ATTRIBUTE)) == {"plan": 'a:b;c "d" é'}
     assert result.GetVolumeDisplayNode() is not None
-    assert published(nodes, grey).GetName() == "head colored_1"
+    assert published(nodes, grey).GetName() == "head coloured_1"
 
 
 def test_failed_publication_leaves_nothing(nodes, scene):
@@ -241,7 +241,9 @@ BAD_INPUTS = {
         lambda: slicer.util.addVolumeFromArray(np.ones((2, 3, 4), np.uint8), nodeClassName="vtkMRMLLabelMapVolumeNode"),
         "label map",
     ),
-    "model": (lambda: slicer.mrmlScene.AddNewNodeByClass("vtkMRMLModelNode", "v"), "several values"),
+    "model": (lambda: slicer.mrmlScene.AddNewNodeByClass("vtkMRMLModelNode", "v"), "is no volume"),
+    "sequence": (lambda: slicer.mrmlScene.AddNewNodeByClass("vtkMRMLSequenceNode", "v"), "is a sequence of volumes"),
+    "segmentation": (lambda: slicer.mrmlScene.AddNewNodeByClass("vtkMRMLSegmentationNode", "v"), "label map"),
 }
 
 

@@ -75,7 +75,7 @@ class StandIn:
 
     def __init__(self):
         self.calls, self.steps, self.error, self.pause_seconds = [], 4, None, 0.0
-        self.guards = []
+        self.guards, self.finished, self.report = [], 0, {}
         self.in_the_middle = lambda: None
 
     def __call__(self, volume, references, settings=None, progress=None, cancelled=None, guard=None):
@@ -97,7 +97,8 @@ class StandIn:
         rgb = np.zeros((*volume.array.shape, 3), np.uint8)
         rgb[..., :] = (150, 100, 50)
         rgb[volume.array == 0] = 0
-        report = {"settings": settings.to_dict(), "made_by": "stand-in"}
+        self.finished += 1
+        report = {"settings": settings.to_dict(), "made_by": "stand-in", **self.report}
         confidence = (volume.array != 0).astype(np.uint8) * 75 if settings.confidence else None
         return ColorVolume(rgb, volume.ijk_to_ras, report, confidence=confidence)
 

@@ -259,6 +259,10 @@ class Application:
     def layoutManager(self):
         return None
 
+    def topLevelWidgets(self):
+        """No main window among them."""
+        return []
+
 
 def install(host, qt_application=None) -> None:
     """Complete the `slicer` package for one process."""
