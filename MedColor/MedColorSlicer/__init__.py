@@ -18,5 +18,5 @@ samples       Sample Data
 widget        the panel: life cycle, in line with the scene
 panel_run     Apply and Cancel, and where errors become messages
 panel_inputs, panel_smoother, panel_plan, panel_preview, panel_display   parts of the panel
-selftest      the test behind Slicer's "Reload and Test"
+selftest      the test behind Slicer's "Reload and Test"; selftest_samples: what it needs
 """

@@ -7,14 +7,26 @@ test is not about the colours themselves, a quick stand-in takes the place of th
 import json
 import os
 import tempfile
-import time
-import unittest.mock
+import unittest
 
 import slicer
 import vtk
 from slicer.ScriptedLoadableModule import ScriptedLoadableModuleTest
 
-LEFT, RIGHT = (200, 120, 60), (60, 120, 200)
+from .selftest_samples import (
+    LEFT,
+    RIGHT,
+    StandIn,
+    grey_node,
+    logic,
+    opacity_curve_of,
+    picture_node,
+    picture_now,
+    picture_of,
+    raise_value_error,
+    two_colors,
+)
+
 TOLERANCE = 8  # levels of 255
 
 
@@ -37,7 +49,7 @@ class MedColorTest(ScriptedLoadableModuleTest):
     def test_result_takes_type_geometry_and_transform_of_the_input(self):
         import numpy as np
 
-        grey = _grey()
+        grey = grey_node()
         matrix = vtk.vtkMatrix4x4()
         matrix.DeepCopy((0, -2, 0, 5, 1, 0, 0, 6, 0, 0, 3, 7, 0, 0, 0, 1))
         grey.SetIJKToRASMatrix(matrix)
@@ -58,7 +70,7 @@ class MedColorTest(ScriptedLoadableModuleTest):
             self.assertEqual(hierarchy.GetItemParent(own), hierarchy.GetItemParent(item))
 
     def test_rerun_fills_the_same_node(self):
-        grey = _grey()
+        grey = grey_node()
         result = self._process(grey)
         count = slicer.mrmlScene.GetNumberOfNodes()
         self.assertIs(self._process(grey, result), result)
@@ -67,7 +79,7 @@ class MedColorTest(ScriptedLoadableModuleTest):
     def test_cancel_leaves_the_scene_as_it_was(self):
         from MedColorLib.errors import Cancelled
 
-        grey = _grey()
+        grey = grey_node()
         count = slicer.mrmlScene.GetNumberOfNodes()
         with self.assertRaises(Cancelled):
             self._process(grey, cancelled=lambda: True)
@@ -80,14 +92,14 @@ class MedColorTest(ScriptedLoadableModuleTest):
             lambda: None,
             lambda: slicer.mrmlScene.AddNewNodeByClass("vtkMRMLScalarVolumeNode"),
             lambda: slicer.mrmlScene.AddNewNodeByClass("vtkMRMLLabelMapVolumeNode"),
-            _two_colors,
+            two_colors,
         ):
             with self.assertRaises(MedColorError) as caught:
                 self._process(make())
             self.assertTrue(str(caught.exception).endswith("."))
 
     def test_confidence_is_a_volume_beside_the_result(self):
-        result = self._process(_grey(), confidence=True)
+        result = self._process(grey_node(), confidence=True)
         volume = result.GetNodeReference("MedColorConfidence")
         self.assertEqual(volume.GetClassName(), "vtkMRMLScalarVolumeNode")
         self.assertEqual(int(slicer.util.arrayFromVolume(volume).max()), 75)
@@ -110,12 +122,12 @@ class MedColorTest(ScriptedLoadableModuleTest):
     def test_rendering_survives_preset_and_scene_file(self):
         from MedColorSlicer import rendering
 
-        result = _two_colors()
-        display = _logic().showVolumeRendering(result, opacity=0.8)
-        curve = _curve(display)
+        result = two_colors()
+        display = logic().showVolumeRendering(result, opacity=0.8)
+        curve = opacity_curve_of(display)
         presets = slicer.modules.volumerendering.logic()
         display.GetVolumePropertyNode().CopyContent(presets.GetPresetByName("CT-Bones"))
-        self.assertEqual(_curve(display), curve)
+        self.assertEqual(opacity_curve_of(display), curve)
         with tempfile.TemporaryDirectory() as folder:
             bundle = os.path.join(folder, "scene.mrb")
             self.assertTrue(slicer.mrmlScene.WriteToMRB(bundle))
@@ -124,7 +136,7 @@ class MedColorTest(ScriptedLoadableModuleTest):
         (result,) = slicer.util.getNodesByClass("vtkMRMLVectorVolumeNode")
         self.assertEqual(result.GetVoxelVectorType(), result.VoxelVectorTypeColorRGB)
         display = rendering.display_node_of(result)
-        for before, after in zip(curve, _curve(display)):
+        for before, after in zip(curve, opacity_curve_of(display)):
             self.assertAlmostEqual(before[0], after[0], places=3)
             self.assertAlmostEqual(before[1], after[1], places=3)
         self.assertEqual(rendering.opacity_of(result), 0.8)
@@ -132,30 +144,30 @@ class MedColorTest(ScriptedLoadableModuleTest):
 
     def test_known_colors_in_the_3d_view(self):
         view = self._three_d_view()
-        result = _two_colors()
-        display = _logic().showVolumeRendering(result, opacity=0.88)
+        result = two_colors()
+        display = logic().showVolumeRendering(result, opacity=0.88)
         display.GetVolumePropertyNode().GetVolumeProperty().ShadeOff()
-        self._assert_both_colors(_picture(view, result))
+        self._assert_both_colors(picture_of(view, result))
         display.GetVolumePropertyNode().CopyContent(slicer.modules.volumerendering.logic().GetPresetByName("CT-Bones"))
         display.GetVolumePropertyNode().GetVolumeProperty().ShadeOff()
-        self._assert_both_colors(_picture(view, result))
-        _logic().hideVolumeRendering(result)
-        self.assertEqual(_picture(view, result).max(), 0)
+        self._assert_both_colors(picture_of(view, result))
+        logic().hideVolumeRendering(result)
+        self.assertEqual(picture_of(view, result).max(), 0)
 
     def test_comparison_layout(self):
         manager = slicer.app.layoutManager()
         if manager is None:
             self.skipTest("no main window, so there is no layout; run without --no-main-window")
-        grey, result = _grey((48, 48, 48)), _two_colors()
+        grey, result = grey_node((48, 48, 48)), two_colors()
         before = manager.layout
-        color_view, grey_view = _logic().showComparison(grey, result)
+        color_view, grey_view = logic().showComparison(grey, result)
         self.assertNotEqual(color_view.GetID(), grey_view.GetID())
         self.assertEqual(manager.layout, slicer.vtkMRMLLayoutNode.SlicerLayoutDual3DView)
         slicer.app.processEvents()
         for index in range(2):
-            picture = _shot(manager.threeDWidget(index).threeDView())
+            picture = picture_now(manager.threeDWidget(index).threeDView())
             self.assertGreater(picture.std(), 1.0, f"3-D view {index + 1} shows nothing")
-        _logic().hideComparison(grey, result)
+        logic().hideComparison(grey, result)
         self.assertEqual(manager.layout, before)
 
     # --- panel ---------------------------------------------------------------------------------------------------
@@ -164,7 +176,7 @@ class MedColorTest(ScriptedLoadableModuleTest):
         panel = self._panel()
         self.assertFalse(panel.ui.applyButton.enabled)
         self.assertTrue(panel.ui.applyButton.toolTip)
-        grey, picture = _grey((12, 24, 24)), _picture_node()
+        grey, picture = grey_node((12, 24, 24)), picture_node()
         panel.parameters.inputVolume = grey
         panel.parameters.referenceSource = "node"
         panel.parameters.referenceNode = picture
@@ -196,7 +208,7 @@ class MedColorTest(ScriptedLoadableModuleTest):
     def test_panel_takes_what_comes_into_the_scene(self):
         panel = self._panel()
         self.assertIsNone(panel.parameters.inputVolume)
-        grey = _grey((12, 24, 24))
+        grey = grey_node((12, 24, 24))
         slicer.app.processEvents()
         self.assertIs(panel.parameters.inputVolume, grey)
         with tempfile.TemporaryDirectory() as folder:
@@ -215,10 +227,10 @@ class MedColorTest(ScriptedLoadableModuleTest):
         red = slicer.mrmlScene.GetNodeByID("vtkMRMLSliceNodeRed")
         if red is None:
             self.skipTest("no slice views; run without --no-main-window")
-        result = _two_colors()
-        display = _logic().showVolumeRendering(result)
+        result = two_colors()
+        display = logic().showVolumeRendering(result)
         self._panel().parameters.outputVolume = result
-        _logic().setCut(result, "slice")
+        logic().setCut(result, "slice")
         bounds = [0.0] * 6
         for offset in (12.0, 30.0):
             red.SetSliceOffset(offset)
@@ -243,16 +255,16 @@ class MedColorTest(ScriptedLoadableModuleTest):
 
     def test_panel_cancel_and_error(self):
         panel = self._panel()
-        panel.parameters.inputVolume = _grey((12, 24, 24))
+        panel.parameters.inputVolume = grey_node((12, 24, 24))
         panel.parameters.referenceSource = "node"
-        panel.parameters.referenceNode = _picture_node()
+        panel.parameters.referenceNode = picture_node()
         count = slicer.mrmlScene.GetNumberOfNodes()
         with self._stand_in(seconds=2.0) as stand_in:
             stand_in.in_the_middle = lambda: panel.job.cancel()  # noqa: PLW0108 - there is no job yet
             panel.ui.applyButton.click()
         self.assertIn("Cancelled", panel.ui.statusLabel.text)
         with self._stand_in() as stand_in:
-            stand_in.in_the_middle = _raise_value_error
+            stand_in.in_the_middle = raise_value_error
             panel.ui.applyButton.click()
         self.assertIn("ValueError", panel.ui.statusLabel.text)
         self.assertEqual(slicer.mrmlScene.GetNumberOfNodes(), count)
@@ -274,7 +286,7 @@ class MedColorTest(ScriptedLoadableModuleTest):
             missing = (["torch"] if dependencies.torch_missing() else []) + dependencies.missing()
             self.skipTest(f"packages are not installed: {', '.join(missing)}")
         grey, picture = samples.load_phantom()
-        result = _logic().process(grey, picture, preset="draft", features="embedded", slices=(20, 22))
+        result = logic().process(grey, picture, preset="draft", features="embedded", slices=(20, 22))
         voxels = slicer.util.arrayFromVolume(result)
         self.assertEqual(voxels.shape[:3], slicer.util.arrayFromVolume(grey).shape)
         self.assertGreater(int((voxels.max(axis=3).astype(int) - voxels.min(axis=3)).max()), 20)
@@ -285,10 +297,10 @@ class MedColorTest(ScriptedLoadableModuleTest):
         import numpy as np
 
         with self._stand_in():
-            return _logic().process(grey, [np.full((4, 5, 3), (180, 90, 40), np.uint8)], output, **options)
+            return logic().process(grey, [np.full((4, 5, 3), (180, 90, 40), np.uint8)], output, **options)
 
     def _stand_in(self, seconds=0.0):
-        return _StandIn(seconds)
+        return StandIn(seconds)
 
     def _panel(self):
         panel = slicer.modules.medcolor.widgetRepresentation().self()
@@ -307,126 +319,3 @@ class MedColorTest(ScriptedLoadableModuleTest):
         for color in (LEFT, RIGHT):
             near = (np.abs(picture.astype(int) - color).max(axis=2) <= TOLERANCE).mean()
             self.assertGreater(near, 0.02, f"{color} is not seen in the 3-D view")
-
-
-class _StandIn:
-    """In place of MedColorLib.colorize and of the package check: quick, cancellable, and able to fail half way."""
-
-    def __init__(self, seconds):
-        self.seconds, self.in_the_middle = seconds, lambda: None
-
-    def __enter__(self):
-        import MedColorLib
-        from MedColorSlicer import dependencies
-
-        self._patches = [
-            unittest.mock.patch.object(MedColorLib, "colorize", self),
-            unittest.mock.patch.object(dependencies, "ensure", lambda: None),
-        ]
-        for patch in self._patches:
-            patch.start()
-        return self
-
-    def __exit__(self, *_exception):
-        for patch in self._patches:
-            patch.stop()
-
-    def __call__(self, volume, references, settings=None, progress=None, cancelled=None, guard=None):
-        import numpy as np
-
-        from MedColorLib.errors import Cancelled
-        from MedColorLib.volume import ColorVolume
-
-        for step in range(10):
-            if progress:
-                progress(step / 10, "stand-in")
-            if step == 5:
-                self.in_the_middle()
-            time.sleep(self.seconds / 10)
-            if cancelled and cancelled():
-                raise Cancelled
-        rgb = np.zeros((*volume.array.shape, 3), np.uint8)
-        rgb[volume.array > 0] = LEFT
-        confidence = (volume.array > 0).astype(np.uint8) * 75 if settings.confidence else None
-        return ColorVolume(rgb, volume.ijk_to_ras, {"settings": settings.to_dict()}, confidence=confidence)
-
-
-def _logic():
-    from MedColorSlicer.logic import MedColorLogic
-
-    return MedColorLogic()
-
-
-def _raise_value_error():
-    raise ValueError("made by the test")
-
-
-def _grey(shape=(6, 8, 10)):
-    import numpy as np
-
-    voxels = np.arange(np.prod(shape)).reshape(shape).astype(np.int16)
-    return slicer.util.addVolumeFromArray(voxels, name="grey")
-
-
-def _picture_node():
-    import numpy as np
-
-    voxels = np.full((1, 16, 16, 3), (180, 90, 40), np.uint8)
-    return slicer.util.addVolumeFromArray(voxels, name="picture", nodeClassName="vtkMRMLVectorVolumeNode")
-
-
-def _two_colors(size=48, radius=18):
-    import numpy as np
-
-    center = (size - 1) / 2
-    k, j, i = np.mgrid[:size, :size, :size]
-    inside = (k - center) ** 2 + (j - center) ** 2 + (i - center) ** 2 < radius**2
-    rgb = np.zeros((size, size, size, 3), np.uint8)
-    rgb[inside & (i < center)] = LEFT
-    rgb[inside & (i > center)] = RIGHT
-    node = slicer.util.addVolumeFromArray(rgb, name="ball", nodeClassName="vtkMRMLVectorVolumeNode")
-    node.SetVoxelVectorType(node.VoxelVectorTypeColorRGB)
-    return node
-
-
-def _curve(display):
-    function, values = display.GetVolumePropertyNode().GetScalarOpacity(), [0.0] * 4
-    points = []
-    for index in range(function.GetSize()):
-        function.GetNodeValue(index, values)
-        points.append((values[0], values[1]))
-    return points
-
-
-def _picture(view, volume_node):
-    """(height, width, 3) of a 3-D view on black, looking from the front at the volume."""
-    node = view.mrmlViewNode()
-    node.SetBackgroundColor(0, 0, 0)
-    node.SetBackgroundColor2(0, 0, 0)
-    node.SetBoxVisible(False)
-    node.SetAxisLabelsVisible(False)
-    window = view.renderWindow()
-    bounds = [0.0] * 6
-    volume_node.GetRASBounds(bounds)
-    camera = window.GetRenderers().GetFirstRenderer().GetActiveCamera()
-    middle = [(bounds[2 * axis] + bounds[2 * axis + 1]) / 2 for axis in range(3)]
-    camera.SetFocalPoint(middle)
-    camera.SetPosition(middle[0], middle[1] + 150, middle[2])
-    camera.SetViewUp(0, 0, 1)
-    window.GetRenderers().GetFirstRenderer().ResetCameraClippingRange()
-    slicer.app.processEvents()  # a window that was just shown, or laid out anew, is not drawn before this
-    return _shot(view)
-
-
-def _shot(view):
-    """(height, width, 3) of a 3-D view as it is."""
-    from vtk.util.numpy_support import vtk_to_numpy
-
-    view.forceRender()
-    window = view.renderWindow()
-    grab = vtk.vtkWindowToImageFilter()
-    grab.SetInput(window)
-    grab.ReadFrontBufferOff()
-    grab.Update()
-    width, height, _depth = grab.GetOutput().GetDimensions()
-    return vtk_to_numpy(grab.GetOutput().GetPointData().GetScalars()).reshape(height, width, -1)[..., :3]

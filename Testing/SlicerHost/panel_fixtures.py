@@ -9,6 +9,7 @@ import types
 import numpy as np
 import pytest
 import slicer
+import vtk
 from host_fixtures import color_node, empty, grey_node
 
 PICTURE = np.random.default_rng(0).integers(0, 256, (1, 16, 16, 3), dtype=np.uint8)
@@ -72,3 +73,45 @@ def wait_for(condition, seconds=30):
         assert time.monotonic() < end, "waited in vain"
         qt.QApplication.processEvents()
         time.sleep(0.005)
+
+
+def ui_settled():
+    """What was put off to the next turn of the event loop has happened."""
+    import qt
+
+    for _turn in range(3):
+        qt.QApplication.processEvents()
+
+
+def warp(scene):
+    """A transform without a matrix."""
+    node = scene.AddNewNodeByClass("vtkMRMLGridTransformNode", "warp")
+    grid = vtk.vtkImageData()
+    grid.SetDimensions(4, 4, 4)
+    grid.SetSpacing(16, 16, 16)
+    grid.AllocateScalars(vtk.VTK_DOUBLE, 3)
+    grid.GetPointData().GetScalars().Fill(1.0)
+    transform = slicer.vtkOrientedGridTransform()
+    transform.SetDisplacementGridData(grid)
+    node.SetAndObserveTransformFromParent(transform)
+    return node
+
+
+def turned(scene, degrees):
+    node = scene.AddNewNodeByClass("vtkMRMLLinearTransformNode", "turn")
+    transform = vtk.vtkTransform()
+    transform.RotateX(degrees)
+    node.SetMatrixTransformToParent(transform.GetMatrix())
+    return node
+
+
+@pytest.fixture
+def red_view(ready):
+    """The red slice view; as a singleton it would outlive the scene."""
+    view = slicer.vtkMRMLSliceNode()
+    for put in (view.SetName, view.SetLayoutName, view.SetSingletonTag):
+        put("Red")
+    slicer.mrmlScene.AddNode(view)
+    yield view
+    ready.exit()
+    slicer.mrmlScene.RemoveNode(view)

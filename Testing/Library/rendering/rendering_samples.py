@@ -60,8 +60,11 @@ def six_balls(r, a, s):
     return rgb
 
 
+SOLID = 0.88  # hardly anything shines through
+
+
 def view(volume, name="anterior", size=(120, 120), **kwargs):
-    return render_view(volume, name, size, **{"shade": False, **kwargs})
+    return render_view(volume, name, size, **{"shade": False, "opacity": SOLID, **kwargs})
 
 
 def lit(colour):
