@@ -70,8 +70,8 @@ def colorize(
         guard: labels of tissue that matching and colour do not cross; see `guard.Guard`.
 
     Returns:
-        RGB volume on the same grid, black outside the body, with a report. The colours are an illustration, not a
-        measurement.
+        RGB volume on the same grid, with a report; outside the body black, but for three voxels in which its colour fades.
+        The colours are an illustration, not a measurement.
 
     Raises:
         InputError, SettingsError, WeightsError, DeviceError: with the remedy in the message.
@@ -97,9 +97,12 @@ def colorize(
         engine = Engine(prepared, run, store)
     confidence = np.zeros(volume.array.shape, np.uint8) if prepared.settings.confidence else None
     painter = _color_slices(prepared, engine, rgb, confidence, run)
+    with run.timed("rim"):
+        run.step(0.99, "border of the body")
+        rim_voxels = _add_rim(prepared, rgb, run)
     run.step(1.0, "done")
     _leave_out(prepared.plan, store.resumed_slices if store else 0)
-    report = {**_report(prepared, engine, run, painter), **_resumed(store)}
+    report = {**_report(prepared, engine, run, painter), "rim_voxels": rim_voxels, **_resumed(store)}
     return ColorVolume(rgb, volume.ijk_to_ras, report, f"{volume.name} coloured", confidence)
 
 
@@ -129,6 +132,45 @@ def _color_slices(
         painter = Painter(prepared, engine, *stacks, each)
         _color_batches(prepared, engine, painter, run)
     return painter
+
+
+def _add_rim(prepared: Prepared, rgb: np.ndarray, run: Run) -> int:
+    """Give the border of the body in `rgb` (k, j, i, 3) the scan's own ramp; returns the number of voxels."""
+    from .coloring.rim import add_rim, air_level
+    from .run.paint import PaintedMasks
+
+    chosen, threshold = sorted(prepared.plan.slices), prepared.body.threshold
+    may_change = _slices_of_rim(prepared)
+    planes = range(int(may_change[0]), int(may_change[-1]) + 1)
+    rows, cols = (slice(*ends) for ends in prepared.region[1:])
+    few = chosen[:: max(1, len(chosen) // 16)]
+    air = air_level([prepared.view[k] for k in few], PaintedMasks(prepared, few), threshold)
+    # only what was asked for: cropped, so that a face of the part is no border of the body
+    return add_rim(
+        prepared.order.view(rgb)[planes.start : planes.stop, rows, cols],
+        PaintedMasks(prepared, planes, (rows, cols)),
+        prepared.view[planes.start : planes.stop, rows, cols],
+        threshold,
+        air,
+        tuple(prepared.volume.spacing_mm[::-1][list(prepared.order.axes)]),
+        np.isin(planes, may_change),
+        lambda: run.step(0.99, "border of the body"),
+    )
+
+
+def _slices_of_rim(prepared: Prepared) -> np.ndarray:
+    """The slices that are coloured, and those without body next to them that the user did not exclude."""
+    from .coloring.rim import OUTSIDE
+
+    first, stop = prepared.region[0]
+    if prepared.settings.slices:
+        first, stop = max(first, prepared.settings.slices[0]), min(stop, prepared.settings.slices[1])
+    wanted = np.zeros(len(prepared.view), bool)
+    wanted[list(prepared.plan.slices)] = True
+    near = np.convolve(wanted, np.ones(2 * OUTSIDE + 1), "same")[: len(wanted)] > 0
+    near[:first] = near[stop:] = False
+    near[prepared.body.slices] = False
+    return np.flatnonzero(wanted | near)
 
 
 def _color_batches(prepared: Prepared, engine: Engine, painter: Painter, run: Run) -> None:

@@ -64,7 +64,7 @@ class ColorVolume:
     """The result: an RGB volume on exactly the grid of its input.
 
     Attributes:
-        rgb: (k, j, i, 3) uint8, sRGB. Outside the body (0, 0, 0).
+        rgb: (k, j, i, 3) uint8, sRGB. Outside the body (0, 0, 0), but for the three voxels of its rim (`coloring.rim`).
         ijk_to_ras: (4, 4) float64, identical to the input's.
         report: plain data (JSON-ready): inputs by hash, settings, plan, seconds, versions, counts.
         name: label for files and nodes.

@@ -4,9 +4,10 @@ Slicer shows an RGB volume with luminance as alpha. Four things have to be right
 
 * the opacity curve lies on VTK's alpha axis, which is stretched to the luminance range of the volume
   (`MedColorLib.rendering.presets.opacity_points`), and is moved when the voxels change;
-* linear interpolation mixes tissue with the black outside it, which draws a dark rim around everything. A shader
-  replacement takes the colour of each sample from the visible voxels around it alone. The line it replaces is the same
-  in VTK 9.1 to 9.6; where another VTK words it differently nothing is replaced, and the rim is all that comes back;
+* at its border a body fades into the black outside it, as the scan does; what is seen first there would be dark. A shader
+  replacement takes the colour of each sample from the visible voxels around it alone, and near air from the tissue up to
+  two and a half voxels behind it. The line it replaces is the same in VTK 9.1 to 9.6; where another VTK words it
+  differently nothing is replaced, and a dark rim is all that comes back;
 * components are not independent, and the lighting leaves colours bright enough;
 * the curve's opacity is reached over a length that fits the body (unit distance).
 
@@ -31,12 +32,14 @@ DISPLAY_CLASS = "vtkMRMLGPURayCastVolumeRenderingDisplayNode"
 _FINGERPRINT = [(0.0, 0.0, 0.0, 0.0), (127.0, 0.5, 0.5, 0.5), (255.0, 1.0, 1.0, 1.0)]
 
 _SHADER_LINE = "g_srcColor = computeColor(scalar, g_srcColor.a);"
-_SHADER_CODE = """{
+_SHADER_CODE = """if (g_srcColor.a > 0.0)
+          {
           ivec3 mcSize = textureSize(in_volume[0], 0);
           vec3 mcPosition = g_dataPos * vec3(mcSize) - 0.5;
           ivec3 mcBase = ivec3(floor(mcPosition));
           vec3 mcFraction = mcPosition - vec3(mcBase);
           vec4 mcSum = vec4(0.0);
+          vec3 mcSlope = vec3(0.0);
           for (int mcN = 0; mcN < 8; ++mcN)
             {
             ivec3 mcCorner = ivec3(mcN & 1, (mcN >> 1) & 1, mcN >> 2);
@@ -44,8 +47,21 @@ _SHADER_CODE = """{
             vec4 mcVoxel = texelFetch(in_volume[0], clamp(mcBase + mcCorner, ivec3(0), mcSize - 1), 0)
               * in_volume_scale[0] + in_volume_bias[0];
             mcSum += vec4(mcVoxel.rgb, 1.0) * mcWeight.x * mcWeight.y * mcWeight.z * step(AIR, mcVoxel.a);
+            mcSlope += (vec3(mcCorner) * 2.0 - 1.0) * mcVoxel.a;
             }
           if (mcSum.a > 0.0) { scalar.rgb = mcSum.rgb / mcSum.a; }
+          if (length(mcSlope) > 0.02)
+            {
+            vec3 mcStep = normalize(mcSlope) / vec3(mcSize);
+            float mcOut = (texture(in_volume[0], g_dataPos - 3.0 * mcStep) * in_volume_scale[0] + in_volume_bias[0]).a;
+            vec4 mcBest = scalar;
+            for (float mcDepth = 1.0; mcDepth < 2.6; mcDepth += 0.75)
+              {
+              vec4 mcIn = texture(in_volume[0], g_dataPos + mcDepth * mcStep) * in_volume_scale[0] + in_volume_bias[0];
+              if (mcIn.a > mcBest.a) { mcBest = mcIn; }
+              }
+            scalar.rgb = mix(mcBest.rgb, scalar.rgb, smoothstep(AIR, 3.0 * AIR, mcOut));
+            }
           }
         """
 

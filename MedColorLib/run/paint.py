@@ -41,6 +41,24 @@ def side_by_side() -> Iterator[Map]:
         yield each
 
 
+class PaintedMasks:
+    """Looks like a stack of masks for reading, `masks[n]`: where a slice was coloured, nothing where it was not."""
+
+    def __init__(self, prepared: Prepared, ks: Sequence[int], part: tuple[slice, slice] = (slice(None), slice(None))):
+        """Args: ks: slices in the order asked for. part: rows and columns."""
+        self._prepared, self._ks, self._part = prepared, ks, part
+        self._chosen = frozenset(prepared.plan.slices)
+
+    def __len__(self) -> int:
+        return len(self._ks)
+
+    def __getitem__(self, n: int) -> np.ndarray:
+        k, view = self._ks[n], self._prepared.view
+        if k not in self._chosen:
+            return np.zeros(view[k].shape, bool)[self._part]
+        return self._prepared.body.painted(k, view[k])[self._part]
+
+
 class Painter:
     """Colours slices from their matches and, where matches are weighed, from the evidence of their neighbours, too."""
 
