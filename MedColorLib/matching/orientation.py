@@ -41,6 +41,7 @@ SLICES = 6  # that are compared with the photograph; the half that is most like 
 _SYMMETRY = 0.5  # of similarity, by how much more alike one mirror image is than the other
 _MOST_SYMMETRY = 0.05
 _INNER = 0.11  # of the shorter side: scalp and skull
+_TOUCH = 0.035  # of the grid's side: where two parts touch in a stretch narrower than twice that, they are two
 _REACH = 2  # positions of the layer
 
 
@@ -130,12 +131,22 @@ def coarse_similarity(greys, masks, reference_grey, reference_mask) -> float:
 
 def main_part(grey: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Grey and mask (H, W) of the largest part alone, brought to the whole grid: a trunk without the arms beside it."""
+    return _filling(grey, largest_part(mask))
+
+
+def largest_part(mask: np.ndarray) -> np.ndarray:
+    """(H, W) bool: the largest part of a mask; parts that only touch are parted."""
+    import cv2
     from scipy import ndimage
 
-    labels, count = ndimage.label(mask)
-    if count > 1:
-        mask = labels == 1 + np.bincount(labels.ravel())[1:].argmax()
-    return _filling(grey, mask)
+    size = 2 * round(_TOUCH * max(mask.shape)) + 1
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
+    core = cv2.erode(mask.astype(np.uint8), disc, borderType=cv2.BORDER_CONSTANT, borderValue=0)
+    labels, count = ndimage.label(core)
+    if count < 2:
+        return mask
+    core = labels == 1 + np.bincount(labels.ravel())[1:].argmax()
+    return mask & (cv2.dilate(core.astype(np.uint8), disc) > 0)
 
 
 def inner_part(grey: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
