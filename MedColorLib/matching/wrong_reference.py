@@ -13,38 +13,51 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .orientation import Lie, largest_part, main_part, turned
+from ..references.photograph import Frame
+from .orientation import Lie, turned
 
 OUTLINES_ALIKE = 0.8  # intersection over union in one box: right pairs 0.83 to 0.93, rectangles at most 0.79
 PROPORTIONS = 0.3  # of log(height / width): right pairs up to 0.2, head and trunk 0.4 to 1.1
 LEAST_MARGIN = 0.018  # of similarity between ways up: right pairs 0.02 to 0.07, pictures of something else up to 0.01
+_TRUNK = 0.6  # of the largest inscribed disc's radius
+_LONG_SIDE, _SIDE = 160, 64  # pixels on which outlines are compared
 _BEST_QUARTER = 75  # per cent: a scan shows more levels than a photograph; a quarter of its slices must fit
 REMEDY = "choose a photograph of the same part of the body, cut across as the slices are"
 
 
 @dataclass(frozen=True)
 class Outline:
-    """The largest part of a slice or a photograph.
+    """The trunk of a slice or a photograph: what is left without arms, ears and tables.
 
     Attributes:
-        filled: (H, W) bool, brought to the whole grid. proportion: log(height / width), in millimetres or pixels of the picture.
+        filled: (64, 64) bool, its bounding box. proportion: log(height / width) of the box.
     """
 
     filled: np.ndarray
     proportion: float
 
 
-def outline(grey: np.ndarray, mask: np.ndarray, size: tuple[float, float]) -> Outline:
-    """Outline of a slice or photograph on the grid.
+def outline(mask: np.ndarray, size: tuple[float, float]) -> Outline:
+    """Outline of a slice or photograph.
 
     Args:
-        grey, mask: (H, W). size: (height, width) of the mask's bounding box in any unit that is the same for both.
+        mask: (h, w) bool, not empty. size: (height, width) of the mask's bounding box in any unit that is the same for both.
     """
-    part = largest_part(mask)
-    share = [np.ptp(np.flatnonzero(part.any(axis))) + 1 for axis in (1, 0)]
-    whole = [np.ptp(np.flatnonzero(mask.any(axis))) + 1 for axis in (1, 0)]
-    height, width = (size[n] * share[n] / whole[n] for n in (0, 1))
-    return Outline(main_part(grey, mask)[1], float(np.log(height / width)))
+    import cv2
+    from scipy import ndimage
+
+    box = Frame.around(ndimage.binary_fill_holes(mask))
+    scale = _LONG_SIDE / max(size)
+    shape = tuple(max(8, round(length * scale)) for length in size)
+    whole = cv2.resize(box.cut(mask).astype(np.float32), shape[::-1], interpolation=cv2.INTER_AREA) > 0.5
+    depth = ndimage.distance_transform_edt(np.pad(ndimage.binary_fill_holes(whole), 1))
+    # opened by a disc too large for an arm beside a trunk, which may touch it
+    radius = _TRUNK * depth.max()
+    trunk = ndimage.distance_transform_edt(depth <= radius) <= radius
+    frame = Frame.around(trunk)
+    height, width = (last - first for first, last in (frame.rows, frame.cols))
+    filled = cv2.resize(frame.cut(trunk).astype(np.float32), (_SIDE, _SIDE), interpolation=cv2.INTER_AREA) > 0.5
+    return Outline(filled, float(np.log(height / width)))
 
 
 def doubts(slices: Sequence[Outline], photograph: Outline, lie: Lie) -> list[str]:
