@@ -271,6 +271,7 @@ def _report(prepared: Prepared, engine: Engine, run: Run, painter: Painter) -> d
         "references_assigned": engine.assigned,
         "blended_slices": {str(k): [prepared.references[n.index].name, n.share] for k, n in engine.neighbours.items()},
         "reference_lies": {engine.references[i].name: engine.references[i].way for i in used},
+        "reference_lies_guessed": [engine.references[i].name for i in used if engine.references[i].lie.guess],
         "reference_features": {engine.references[i].name: "read" if engine.kept.get(i) else "made" for i in used},
         "components": {
             engine.references[i].name: {str(n): round(share, 4) for n, share in engine.energy.get(i, {}).items()}

@@ -1,46 +1,246 @@
-"""Stage *orientation*: which way up a photograph lies. Cryosections are kept face up, face down and mirrored.
+"""Stage *orientation*: which way up a photograph lies. Cryosections are kept face up, face down, mirrored, or on their side.
 
-The four ways a picture can lie (as it is, upside down, mirrored, turned by half) are matched coarsely with contrast-invariant
-features that know their place in the body; the way with the highest similarity is taken, the picture's own way unless
-another is clearly better (left and right of a body differ little).
+The eight ways a picture can lie (quarter turns, and each mirrored) are matched coarsely with contrast-invariant features that
+know their place in the body; the way with the highest similarity is taken. Two things help: bodies are mirror images of
+themselves about the plane between left and right, not about any other, which tells quarter turns; and where the scan shows
+less than the photograph (a head without its skull), the photograph's inner part is tried, too. Left and right of a body
+differ little: the picture's own way stays unless the mirrored one is clearly better.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 
+from ..scan.grid import Grid, to_grid
 from ..scan.intensity import apply_curve, histogram_match_curve
-from .coarse import coarse_match, mean_inside
+from .coarse import LAYER, mean_inside
 
-WAYS = {"as it is": (1, 1), "upside down": (-1, 1), "mirrored": (1, -1), "turned by half": (-1, -1)}
-CLEARLY = (
-    0.01  # of similarity: the scatter between left and right on real heads is 0.005, true differences 0.017 to 0.1
+WAYS = {  # how a picture lies: quarter turns to the left that it has been turned by, whether it was mirrored before
+    "as it is": (0, False),
+    "turned by half": (2, False),
+    "mirrored": (0, True),
+    "upside down": (2, True),
+    "turned left": (1, False),
+    "turned right": (3, False),
+    "turned left and mirrored": (1, True),
+    "turned right and mirrored": (3, True),
+}
+_PAIRS = (  # differ in left and right only
+    ("as it is", "mirrored"),
+    ("turned by half", "upside down"),
+    ("turned left", "turned right and mirrored"),
+    ("turned right", "turned left and mirrored"),
 )
+CLEARLY = 0.015  # of similarity, for left and right; their scatter on real heads is up to 0.012
+TURNED = 0.004  # of similarity, for another way up
+GUESS = 0.015  # of similarity between the best two pairs of ways; less is a guess
+SLICES = 6  # that are compared with the photograph; the half that is most like it counts twice
+_SYMMETRY = 0.5  # of similarity, by how much more alike one mirror image is than the other
+_MOST_SYMMETRY = 0.05
+_INNER = 0.11  # of the shorter side: scalp and skull
+_TOUCH = 0.035  # of the grid's side: where two parts touch in a stretch narrower than twice that, they are two
+_REACH = 2  # positions of the layer
+
+
+@dataclass(frozen=True)
+class Lie:
+    """How a photograph lies.
+
+    Attributes:
+        way: key of WAYS. margin: similarity by which its pair of ways is ahead of the next, 0 or more.
+        scores: similarity of each way.
+    """
+
+    way: str
+    margin: float
+    scores: dict[str, float]
+
+    @property
+    def guess(self) -> bool:
+        """Whether another way is nearly as likely."""
+        return self.margin < GUESS
+
+    def describe(self) -> str:
+        """For people."""
+        return f"{self.way}, a guess: another way looks nearly as likely" if self.guess else self.way
 
 
 def turned(picture: np.ndarray, way: str) -> np.ndarray:
-    """The picture (H, W[, c]) lying the given way; a contiguous copy."""
-    rows, cols = WAYS[way]
-    return np.ascontiguousarray(picture[::rows, ::cols])
+    """The picture (h, w[, c]) that lies the given way, brought upright: (h, w[, c]) or (w, h[, c]); a contiguous copy."""
+    quarters, mirrored = WAYS[way]
+    upright = np.rot90(picture, -quarters)
+    return np.ascontiguousarray(upright[:, ::-1] if mirrored else upright)
+
+
+def laid(picture: np.ndarray, way: str) -> np.ndarray:
+    """The inverse of `turned`: an upright picture laid the given way."""
+    quarters, mirrored = WAYS[way]
+    return np.ascontiguousarray(np.rot90(picture[:, ::-1] if mirrored else picture, quarters))
 
 
 def choose_way(greys: np.ndarray, masks: np.ndarray, reference_grey: np.ndarray, reference_mask: np.ndarray) -> str:
-    """Key of WAYS in which the reference looks most like the slices.
+    """Key of WAYS in which the reference looks most like the slices; see `find_way`."""
+    return find_way(greys, masks, reference_grey, reference_mask).way
+
+
+def find_way(greys: np.ndarray, masks: np.ndarray, reference_grey: np.ndarray, reference_mask: np.ndarray) -> Lie:
+    """Find out how the reference lies.
 
     Args:
-        greys: (S, H, W) 0..1 on the grid; masks: (S, H, W) bool. reference_grey, reference_mask: (H, W) on the grid.
+        greys: (S, H, W) 0..1 on a square grid; masks: (S, H, W) bool. reference_grey, reference_mask: (H, W) on the grid.
     """
-    scores = {
-        way: coarse_similarity(greys, masks, turned(reference_grey, way), turned(reference_mask, way)) for way in WAYS
-    }
+    if not reference_mask.any() or not masks.any():
+        return Lie("as it is", 0.0, dict.fromkeys(WAYS, 0.0))
+    slices = [main_part(*one) for one in zip(*_some(greys, masks))]
+    photograph = main_part(reference_grey, reference_mask)
+    scores = _scores(slices, (photograph, inner_part(*photograph)))
+    upright = np.median([symmetry(*one) for one in slices])
+    own = symmetry(*photograph)
+    agreement = _SYMMETRY * min(abs(upright), abs(own), _MOST_SYMMETRY) * np.sign(upright * own)
+    for way, (quarters, _) in WAYS.items():
+        scores[way] += float(agreement if quarters % 2 == 0 else -agreement)
+    return _lie(scores)
+
+
+def common_way(lies: Sequence[Lie]) -> Lie:
+    """How a series lies, whose pictures all lie the same way: the way of the highest mean."""
+    scores = {way: float(np.mean([lie.scores[way] for lie in lies])) for way in WAYS}
+    return _lie(scores)
+
+
+def _lie(scores: dict[str, float]) -> Lie:
+    """The best way, but for left and right, which must differ clearly for a picture not to lie as it is."""
     best = max(scores, key=scores.get)
-    return best if scores[best] > scores["as it is"] + CLEARLY else "as it is"
+    pair = next(pair for pair in _PAIRS if best in pair)
+    margin = scores[best] - max(score for way, score in scores.items() if way not in pair)
+    needed = CLEARLY if "as it is" in pair else TURNED
+    if scores[best] <= scores["as it is"] + needed:
+        best = "as it is"
+    return Lie(best, max(float(margin), 0.0), scores)
 
 
 def coarse_similarity(greys, masks, reference_grey, reference_mask) -> float:
     """Mean similarity inside the body of slices and reference at layer 4, whatever their contrasts."""
+    planes = np.asarray(greys, np.float32), np.asarray(masks)
+    target = _features(_in_contrast(*planes, reference_grey, reference_mask))
+    return float(np.mean(_similarities(target, planes[1], reference_grey, reference_mask)))
+
+
+def main_part(grey: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Grey and mask (H, W) of the largest part alone, brought to the whole grid: a trunk without the arms beside it."""
+    return _filling(grey, largest_part(mask))
+
+
+def largest_part(mask: np.ndarray) -> np.ndarray:
+    """(H, W) bool: the largest part of a mask; parts that only touch are parted."""
+    import cv2
+    from scipy import ndimage
+
+    size = 2 * round(_TOUCH * max(mask.shape)) + 1
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
+    core = cv2.erode(mask.astype(np.uint8), disc, borderType=cv2.BORDER_CONSTANT, borderValue=0)
+    labels, count = ndimage.label(core)
+    if count < 2:
+        return mask
+    core = labels == 1 + np.bincount(labels.ravel())[1:].argmax()
+    return mask & (cv2.dilate(core.astype(np.uint8), disc) > 0)
+
+
+def inner_part(grey: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Grey and mask (H, W) without the outermost tenth, brought to the whole grid: a head without scalp and skull."""
+    from scipy import ndimage
+
+    whole = ndimage.binary_fill_holes(mask)
+    depth = ndimage.distance_transform_edt(np.pad(whole, 1))[1:-1, 1:-1]
+    inner = mask & (depth > _INNER * min(np.ptp(np.flatnonzero(mask.any(1))), np.ptp(np.flatnonzero(mask.any(0)))))
+    return _filling(grey, inner if inner.any() else mask)
+
+
+def symmetry(grey: np.ndarray, mask: np.ndarray) -> float:
+    """By how much a picture (H, W) is more like itself with left and right exchanged than upside down, -1..1."""
     import torch
 
+    own = _features(grey[None])[LAYER]
+    alike = []
+    for flipped in (np.s_[:, ::-1], np.s_[::-1]):
+        other = _features(np.ascontiguousarray(grey[flipped])[None])[LAYER]
+        inside = torch.from_numpy(np.ascontiguousarray(mask[flipped]))[None]
+        alike.append(mean_inside(nearby_similarity(own, other, inside), torch.from_numpy(mask)[None]))
+    return alike[0] - alike[1]
+
+
+def nearby_similarity(target, reference, reference_mask, reach: int = _REACH):
+    """(N, h, w): highest similarity of each position with those of the reference within `reach` positions.
+
+    Args:
+        target: (N, C, h, w) unit features; reference: (1, C, h, w). reference_mask: (1, H, W) bool.
+    """
+    import torch
+    from torch.nn.functional import adaptive_avg_pool2d, pad
+
+    height, width = target.shape[2:]
+    inside = adaptive_avg_pool2d(reference_mask.float(), (height, width)) > 0.5
+    padded = pad(reference * inside[:, None], (reach,) * 4)
+    best = torch.full((target.shape[0], height, width), -1.0)
+    for row in range(2 * reach + 1):
+        for col in range(2 * reach + 1):
+            best = torch.maximum(best, (target * padded[:, :, row : row + height, col : col + width]).sum(1))
+    return best
+
+
+def _some(greys: np.ndarray, masks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    chosen = [k for k in range(len(greys)) if masks[k].any()]
+    chosen = [chosen[int((n + 0.5) * len(chosen) / SLICES)] for n in range(SLICES)] if len(chosen) > SLICES else chosen
+    return greys[chosen], masks[chosen]
+
+
+def _scores(slices: Sequence[tuple], photographs: Sequence[tuple]) -> dict[str, float]:
+    """Similarity of each way, with that part of the photograph that is most like the slices."""
+    greys, masks = (np.stack(values) for values in zip(*slices))
+    found = []
+    for grey, mask in photographs:
+        target = _features(_in_contrast(greys, masks, grey, mask))
+        each = np.stack([_similarities(target, masks, turned(grey, way), turned(mask, way)) for way in WAYS])
+        like = np.argsort(-each.max(axis=0), kind="stable")[: -(-each.shape[1] // 2)]
+        found.append(dict(zip(WAYS, ((each.mean(axis=1) + each[:, like].mean(axis=1)) / 2).tolist())))
+    return max(found, key=lambda scores: max(scores.values()))
+
+
+def _filling(grey: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    rows, cols = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
+    if not rows.size:
+        return grey, mask
+    box, grid = np.s_[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1], Grid(*mask.shape)
+    filled = to_grid(mask[box], grid) > 0.5
+    return (to_grid((grey * mask)[box], grid) * filled).astype(np.float32), filled
+
+
+def _in_contrast(greys, masks, reference_grey, reference_mask) -> np.ndarray:
     curve = histogram_match_curve(greys[masks], reference_grey[reference_mask])
-    found = coarse_match(apply_curve(greys, curve) * masks, masks, reference_grey, reference_mask, position_weight=1.0)
-    return mean_inside(found.similarity, torch.from_numpy(masks))
+    return apply_curve(greys, curve) * masks
+
+
+def _features(greys: np.ndarray):
+    """Embedded features of layers 5 and 4 of (S, H, W) greys."""
+    import torch
+
+    from ..features.embedded import Embedded
+
+    return Embedded().extract(torch.from_numpy(np.asarray(greys, np.float32)[:, None]), (5, LAYER))
+
+
+def _similarities(
+    target: dict, masks: np.ndarray, reference_grey: np.ndarray, reference_mask: np.ndarray
+) -> np.ndarray:
+    """(S,) mean similarity inside the body of each slice."""
+    import torch
+
+    from .analogy import Context, deep_image_analogy
+
+    context = Context(position_weight=1.0, luminance_weight=0.0, target=None, reference=None)
+    inside = torch.from_numpy(masks), torch.from_numpy(reference_mask)
+    found = deep_image_analogy(target, _features(reference_grey[None]), *inside, LAYER, context)
+    return np.array([mean_inside(found.similarity[n : n + 1], inside[0][n : n + 1]) for n in range(len(masks))])

@@ -19,6 +19,7 @@ from .surroundings import (
 
 LONG_SIDE_PX = 320  # on which the tissue is found; its outline is then as sharp as a slice on the raster
 SMALLEST_PART = 0.008  # of the largest part's pixels: a finger beside a trunk is kept, a crumb is not
+SMALLEST_POCKET = 9  # pixels of the reduced picture
 MOST_POCKETS = 0.08  # of the body; more is tissue as pale as its surroundings
 FILLS = "no surroundings found: tissue fills the picture"
 
@@ -74,11 +75,21 @@ def _without_pockets(lab: np.ndarray, around: Surroundings) -> np.ndarray:
     paper = without_hue(colors) & (colors[:, 0] > 70)
     if paper.mean() < 0.8:
         strange = of_no_tissue(lab)
-        gelatin = strange & (opened(strange, 3) | dilated(around.outside, 5))
+        gelatin = strange & (_large(strange, SMALLEST_POCKET) | dilated(around.outside, 5))
         # pixels next to gelatin are mixed with its hue: a rim one pixel wide goes as well
         mixed = dilated(gelatin, 3) & (lab[..., 2] < 6) & of_no_tissue(colors.mean(axis=0))
         body &= ~(gelatin | mixed)
     return opened(body & ~_seen_through(body, lab, around), 3)
+
+
+def _large(mask: np.ndarray, pixels: int) -> np.ndarray:
+    """The parts of a mask of at least so many pixels: also the line of gelatin between an arm and the trunk."""
+    from scipy import ndimage
+
+    labels, _ = ndimage.label(mask, structure=np.ones((3, 3)))
+    sizes = np.bincount(labels.ravel())
+    sizes[0] = 0
+    return (sizes >= pixels)[labels]
 
 
 def _seen_through(body: np.ndarray, lab: np.ndarray, around: Surroundings) -> np.ndarray:

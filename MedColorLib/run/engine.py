@@ -14,7 +14,7 @@ from ..features.components import PROJECTED_LAYERS, kept_energy, principal_compo
 from ..features.kept import reference_features
 from ..matching.assignment import assign
 from ..matching.blending import blended, neighbours
-from ..matching.orientation import choose_way, turned
+from ..matching.orientation import Lie, common_way, find_way, turned
 from ..matching.tissue_guard import colors_on_grid
 from ..parameters import PRESETS
 from ..progress import Run
@@ -49,12 +49,19 @@ class ReferenceOnGrid:
         self.groups = None
         if groups is not None:
             self.lab, self.groups = colors_on_grid(groups, reference, grid, self.mask)
-        self.way = "as it is"
+        self.lie: Lie | None = None
         self.contrast = None
 
-    def turn(self, way: str) -> None:
-        """Lay the picture another way; see `orientation`."""
-        self.way = way
+    @property
+    def way(self) -> str:
+        """How the picture lies; see `orientation`."""
+        return self.lie.way if self.lie else "as it is"
+
+    def turn(self, lie: Lie) -> None:
+        """Bring a picture that lies so upright; the grid is square, so that any turn stays on it."""
+        self.lie, way = lie, lie.way
+        if way == "as it is":
+            return
         self.grey, self.lab, self.mask = (turned(values, way) for values in (self.grey, self.lab, self.mask))
         if self.groups is not None:
             self.groups = turned(self.groups, way)
@@ -336,13 +343,25 @@ class Engine:
         """Find out which way up the references lie: each for itself, or many (a series of photographs) together."""
         greys, masks = self.slices_on_grid(sample_slices(self.prepared.plan.slices))
         few = self.references if len(self.references) <= MANY_REFERENCES else sample_slices(self.references)
-        ways = [choose_way(greys, masks, r.grey, r.mask) for r in few]
+        lies = [find_way(greys, masks, r.grey, r.mask) for r in few]
         if len(few) < len(self.references):
-            ways = [max(set(ways), key=ways.count)] * len(self.references)
-        for reference, way in zip(self.references, ways):
-            if way != "as it is":
-                log.info("reference %s lies %s", reference.name, way)
-                reference.turn(way)
+            lies = [common_way(lies)] * len(self.references)
+        for reference, lie in zip(self.references, lies):
+            if lie.guess:
+                log.warning(
+                    "reference %s lies %s; compare the result, and turn the picture if it is wrong",
+                    reference.name,
+                    lie.describe(),
+                )
+            elif lie.way != "as it is":
+                log.info("reference %s lies %s", reference.name, lie.way)
+            reference.turn(lie)
+        guesses = [f"{r.name} {r.lie.describe()}" for r in self.references if r.lie.guess]
+        named = [f"{r.name} {r.way}" for r in self.references if r.way != "as it is" and not r.lie.guess]
+        texts = guesses + named
+        if texts:
+            more = [f"and {len(texts) - MANY_REFERENCES} more"] if len(texts) > MANY_REFERENCES else []
+            self.prepared.plan.steps["orientation"] = "; ".join([*texts[:MANY_REFERENCES], *more])
 
     def _spread_guide(self) -> np.ndarray:
         boxes = [self.slice_in_box(k) for k in sample_slices(self.prepared.plan.slices)]

@@ -7,7 +7,10 @@ import pytest
 
 from MedColorLib import Settings, Volume, colorize
 from MedColorLib.color.lab import srgb_to_lab
-from MedColorLib.matching.orientation import WAYS, choose_way, turned
+from MedColorLib.matching.orientation import GUESS, WAYS, choose_way, common_way, find_way, inner_part, laid, turned
+from MedColorLib.phantom import section
+from MedColorLib.references.photograph import on_grid, prepare_reference
+from MedColorLib.scan.grid import choose_grid
 from MedColorLib.run.estimate import estimate
 
 pytestmark = pytest.mark.usefixtures("small_raster")
@@ -15,18 +18,70 @@ DRAFT = Settings(preset="draft", features="embedded", device="cpu")
 
 
 @pytest.mark.parametrize("way", WAYS)
-def test_turning_twice_is_nothing(way, rng):
+def test_turned_undoes_what_laid_does(way, rng):
     picture = rng.random((5, 7, 3))
-    once = turned(picture, way)
-    np.testing.assert_array_equal(turned(once, way), picture)
-    assert once.flags["C_CONTIGUOUS"] and (way == "as it is") == np.array_equal(once, picture)
+    lying = laid(picture, way)
+    assert lying.shape == ((7, 5, 3) if "left" in way or "right" in way else (5, 7, 3))
+    np.testing.assert_array_equal(turned(lying, way), picture)
+    assert turned(lying, way).flags["C_CONTIGUOUS"] and (way == "as it is") == np.array_equal(lying, picture)
 
 
-@pytest.mark.parametrize(("rows", "way"), [(1, "as it is"), (-1, "upside down")])
-def test_phantom_face_up_and_face_down(ct, rows, way):
+def test_the_eight_ways_are_eight(rng):
+    picture = rng.random((6, 6))
+    assert len({laid(picture, way).tobytes() for way in WAYS}) == 8
+
+
+@pytest.fixture(scope="module")
+def photograph() -> tuple[np.ndarray, np.ndarray]:
+    grey, _, mask = on_grid(prepare_reference(section()), choose_grid(128))
+    return grey, mask
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_all_eight_ways_are_found(way, photograph):
+    """The same section with another contrast; left and right of the phantom are mirror images but for its noise."""
+    grey, mask = photograph
+    scan = np.where(mask, 1 - 0.8 * grey, 0).astype(np.float32)[None]
+    lie = find_way(scan, mask[None], laid(grey, way), laid(mask, way))
+    pairs = {"turned left": "turned right and mirrored", "turned right": "turned left and mirrored"}
+    pairs |= {"as it is": "mirrored", "turned by half": "upside down"}
+    pairs |= {other: one for one, other in pairs.items()}
+    assert lie.way in (way, pairs[way]) and lie.margin > GUESS and not lie.guess
+
+
+@pytest.mark.parametrize("way", ["as it is", "upside down", "turned left"])
+def test_a_head_without_scalp_and_skull(way, photograph):
+    grey, mask = photograph
+    inside, within = inner_part(np.where(mask, 1 - 0.8 * grey, 0).astype(np.float32), mask)
+    lie = find_way(inside[None], within[None], laid(grey, way), laid(mask, way))
+    assert lie.way in {"as it is": ("as it is",), "upside down": ("upside down", "turned by half")}.get(
+        way, ("turned left", "turned right and mirrored")
+    )
+
+
+def test_a_disc_lies_as_it_is_and_that_is_a_guess():
+    rows, cols = np.mgrid[-1:1:96j, -1:1:96j]
+    disc = np.hypot(rows, cols) < 0.8
+    lie = find_way((0.5 * disc).astype(np.float32)[None], disc[None], 0.7 * disc.astype(np.float32), disc)
+    assert lie.way == "as it is" and lie.guess and "a guess" in lie.describe()
+
+
+def test_a_series_lies_as_most_of_it(photograph):
+    grey, mask = photograph
+    lies = [
+        find_way(grey[None], mask[None], laid(grey, way), laid(mask, way))
+        for way in ("upside down",) * 2 + ("as it is",)
+    ]
+    assert common_way(lies).way in ("upside down", "turned by half")
+
+
+@pytest.mark.parametrize("way", ["as it is", "upside down", "turned left and mirrored"])
+def test_phantom_face_up_and_face_down(ct, way):
     volume = Volume(ct.volume.array[3:8], ct.volume.ijk_to_ras)
-    result = colorize(volume, [ct.reference[::rows]], DRAFT)
-    assert result.report["reference_lies"] == {"reference 1": way}
+    result = colorize(volume, [laid(ct.reference, way)], DRAFT)
+    sides = {"upside down": "turned by half", "turned left and mirrored": "turned right"}
+    assert result.report["reference_lies"]["reference 1"] in (way, sides.get(way))
+    assert ("orientation" in result.report["plan"]["steps"]) == (way != "as it is")
 
 
 def test_a_turned_reference_gives_the_colors_of_the_right_one(ct):
