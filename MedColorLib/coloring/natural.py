@@ -42,7 +42,7 @@ def natural_lightness(own: np.ndarray, reference: np.ndarray, mask: np.ndarray, 
     own, reference = own.astype(np.float32), reference.astype(np.float32)
     detail = own - _mean_of_tissue(own, reference, mask)
     natural = reference + np.float32(DETAIL_GAIN * DETAIL_LIMIT) * np.tanh(detail * np.float32(1 / DETAIL_LIMIT))
-    tissue = np.clip(own * np.float32(1 / AIR_LIGHTNESS), 0, 1) * np.float32(amount)
+    tissue = np.clip(_mean_of_square(own) * np.float32(1 / AIR_LIGHTNESS), 0, 1) * np.float32(amount)
     return own + tissue * (natural - own)
 
 

@@ -31,6 +31,10 @@ EXTRACTORS = ("embedded", "vgg19", "gray-vgg19")
 CONTEXT_WEIGHTS = {"vgg19": (0.5, 0.5), "gray-vgg19": (0.5, 0.5)}
 
 
+# Of the own features: what the coarsest level says of the place in the body is left out, so that hue follows tissue.
+OWN_CONTEXT = float(__import__("os").environ.get("NAT_CTX", "0"))
+
+
 class Extractor(Protocol):
     """What a feature network offers.
 
@@ -83,7 +87,7 @@ def make_extractor(name: str, device: str = "cpu") -> Extractor:
     if name == "embedded":
         from .contrast_net import Contrast
 
-        return Contrast(device)
+        return Contrast(device, OWN_CONTEXT)
     from .weights import find_weights, load_weights
 
     found = find_weights(name)

@@ -19,8 +19,6 @@ from ..errors import InputError, SettingsError, WeightsError
 
 CHANNELS = 32
 STRIDE = 4  # pixels of the luminance per position of the features
-import os
-CONTEXT = float(os.environ.get("NAT_CTX","1"))
 MULTIPLE = 16  # height and width must be multiples of it: the coarsest level lies at a sixteenth
 
 WEIGHTS = Path(__file__).with_name("contrast_net.safetensors")
@@ -35,7 +33,7 @@ class Contrast:
 
     name = "embedded"
 
-    def __init__(self, device: str = "cpu", context: float = CONTEXT) -> None:
+    def __init__(self, device: str = "cpu", context: float = 1.0) -> None:
         """Args:
             context: share 0..1 of what the coarsest level says: where in the body a position lies. At 1 matches keep their
                 place; at 0 they follow tissue alone, and are less consistent.
@@ -142,8 +140,11 @@ class ContrastNet(nn.Module):
         early = x
         x = quarter = _residual(self.quarter, x)
         x = eighth = _residual(self.eighth, self.to_eighth(x))
-        x = _residual(self.sixteenth, self.to_sixteenth(x))
-        x = self.join_eighth(torch.cat([eighth, context * _doubled(x)], 1))
+        if context:
+            x = context * _doubled(_residual(self.sixteenth, self.to_sixteenth(x)))
+        else:  # nothing would read it
+            x = torch.zeros_like(eighth)
+        x = self.join_eighth(torch.cat([eighth, x], 1))
         x = self.join_quarter(torch.cat([quarter, _doubled(x)], 1))
         return F.normalize(self.head(torch.cat([early, x], 1)), dim=1)
 

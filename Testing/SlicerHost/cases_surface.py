@@ -7,7 +7,6 @@ import os
 import mrml
 import numpy as np
 import pytest
-import slicer
 from host_fixtures import color_node
 
 SIZE = 160

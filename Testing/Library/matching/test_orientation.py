@@ -10,8 +10,8 @@ from MedColorLib.color.lab import srgb_to_lab
 from MedColorLib.matching.orientation import GUESS, WAYS, choose_way, common_way, find_way, inner_part, laid, turned
 from MedColorLib.phantom import section
 from MedColorLib.references.photograph import on_grid, prepare_reference
-from MedColorLib.scan.grid import choose_grid
 from MedColorLib.run.estimate import estimate
+from MedColorLib.scan.grid import choose_grid
 
 pytestmark = pytest.mark.usefixtures("small_raster")
 DRAFT = Settings(preset="draft", features="embedded", device="cpu")
