@@ -7,6 +7,7 @@ import logging
 import os
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -241,6 +242,13 @@ def _reported_settings(settings: Settings) -> dict:
     return {**data, "body": os.path.basename(data["body"]), "reference_masks": shown}
 
 
+def _told(plan: Plan, reference_warnings: list[dict]) -> Plan:
+    """The plan with what was found out since."""
+    from .run.doubts import warning_text
+
+    return replace(plan, warnings=(*plan.warnings, *map(warning_text, reference_warnings)))
+
+
 def _report(prepared: Prepared, engine: Engine, run: Run, painter: Painter) -> dict:
     from .report import environment, peak_memory_mb, voxels_sha256
 
@@ -271,6 +279,7 @@ def _report(prepared: Prepared, engine: Engine, run: Run, painter: Painter) -> d
         "references_assigned": engine.assigned,
         "blended_slices": {str(k): [prepared.references[n.index].name, n.share] for k, n in engine.neighbours.items()},
         "reference_lies": {engine.references[i].name: engine.references[i].way for i in used},
+        "reference_warnings": engine.reference_warnings,
         "reference_lies_guessed": [engine.references[i].name for i in used if engine.references[i].lie.guess],
         "reference_features": {engine.references[i].name: "read" if engine.kept.get(i) else "made" for i in used},
         "components": {
@@ -279,7 +288,7 @@ def _report(prepared: Prepared, engine: Engine, run: Run, painter: Painter) -> d
         },
         "contrast": {engine.references[i].name: engine.references[i].contrast.describe() for i in used},
         "settings": _reported_settings(prepared.settings),
-        "plan": prepared.plan.to_dict(),
+        "plan": _told(prepared.plan, engine.reference_warnings).to_dict(),
         "searched": {str(k): v for k, v in engine.searched.items()},
         "deconvolution": engine.reconstruct.report() if engine.reconstruct else None,
         "seconds": {

@@ -21,6 +21,7 @@ PROPORTIONS = 0.3  # of log(height / width): right pairs up to 0.2, head and tru
 LEAST_MARGIN = 0.018  # of similarity between ways up: right pairs 0.02 to 0.07, pictures of something else up to 0.01
 _TRUNK = 0.6  # of the largest inscribed disc's radius
 _LONG_SIDE, _SIDE = 160, 64  # pixels on which outlines are compared
+_RECTANGLE = 0.97  # of its box filled
 _BEST_QUARTER = 75  # per cent: a scan shows more levels than a photograph; a quarter of its slices must fit
 REMEDY = "choose a photograph of the same part of the body, cut across as the slices are"
 
@@ -60,23 +61,27 @@ def outline(mask: np.ndarray, size: tuple[float, float]) -> Outline:
     return Outline(filled, float(np.log(height / width)))
 
 
-def doubts(slices: Sequence[Outline], photograph: Outline, lie: Lie) -> list[str]:
+def doubts(slices: Sequence[Outline], photograph: Outline, lie: Lie, best_margin: float | None = None) -> list[str]:
     """Reasons to think that the photograph shows something else than the slices; empty where nothing speaks against it.
 
     Args:
         slices: evenly spread over the slices that the photograph is for. photograph: as it lies in its file. lie: how it lies.
+        best_margin: the largest margin among several references; None: that of `lie`.
     """
+    reasons = []
+    if (lie.margin if best_margin is None else best_margin) < LEAST_MARGIN:
+        reasons.append("it looks no more like the scan one way up than another")
+    slices = [one for one in slices if one.filled.mean() < _RECTANGLE]  # a field of view without air has no outline
+    if not slices:
+        return reasons
     upright = turned(photograph.filled, lie.way)
     on_its_side = lie.way.startswith(("turned left", "turned right"))
     proportion = -photograph.proportion if on_its_side else photograph.proportion
     overlap = [(one.filled & upright).sum() / max((one.filled | upright).sum(), 1) for one in slices]
-    reasons = []
     if np.percentile(overlap, _BEST_QUARTER) < OUTLINES_ALIKE:
         reasons.append(f"its outline is another ({100 * np.percentile(overlap, _BEST_QUARTER):.0f} % in common)")
     apart = np.percentile([abs(one.proportion - proportion) for one in slices], 100 - _BEST_QUARTER)
     if apart > PROPORTIONS:
         mine = np.exp(np.median([one.proportion for one in slices]))
         reasons.append(f"its proportions are others (height to width {np.exp(proportion):.2f}, the scan {mine:.2f})")
-    if lie.margin < LEAST_MARGIN:
-        reasons.append("it looks no more like the scan one way up than another")
     return reasons

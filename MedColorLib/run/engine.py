@@ -22,6 +22,7 @@ from ..references.photograph import Reference, on_grid
 from ..scan.grid import Grid
 from ..scan.intensity import apply_curve, spreading_curve
 from ..scan.slices import sample_slices, slice_in_box, slice_on_grid
+from .doubts import reference_warnings
 from .prepare import Prepared
 
 if TYPE_CHECKING:
@@ -155,6 +156,7 @@ class Engine:
         with run.timed("orientation"):
             self._turn_references()
         self.choice = self._choose_references()
+        self.reference_warnings = reference_warnings(prepared, self.references, self.choice)
         self.neighbours = {} if self.assigned == "freely" else neighbours(self.choice)
         self.guide_curve = self._spread_guide() if prepared.plan.smoother == "regression" else None
         with run.timed("contrast"):
