@@ -1,0 +1,81 @@
+"""A reference of another part of the body, or of no body, is noticed; the right one is not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from MedColorLib import Settings, Volume, colorize
+from MedColorLib.matching.orientation import GUESS, Lie, laid
+from MedColorLib.matching.wrong_reference import doubts, outline
+
+pytestmark = pytest.mark.usefixtures("small_raster")
+SURE, LOST = Lie("as it is", 0.05, {}), Lie("as it is", 0.002, {})
+
+
+def ellipse(height: float, width: float, side: int = 120, centre=(0.0, 0.0)) -> np.ndarray:
+    rows, cols = np.mgrid[-1 : 1 : side * 1j, -1 : 1 : side * 1j]
+    return ((rows - centre[0]) / height) ** 2 + ((cols - centre[1]) / width) ** 2 < 1
+
+
+def of(mask: np.ndarray):
+    rows, cols = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
+    return outline(mask, (np.ptp(rows) + 1, np.ptp(cols) + 1))
+
+
+HEAD, TRUNK = of(ellipse(0.6, 0.5)), of(ellipse(0.35, 0.55))
+
+
+def test_alike_is_not_doubted():
+    assert doubts([HEAD] * 3, of(ellipse(0.62, 0.48)), SURE) == []
+
+
+def test_head_and_trunk_have_other_proportions():
+    for scan, picture in ((HEAD, TRUNK), (TRUNK, HEAD)):
+        (why,) = doubts([scan] * 3, picture, SURE)
+        assert "proportions" in why
+
+
+def test_a_picture_on_its_side_is_compared_upright():
+    lying = of(laid(ellipse(0.35, 0.55), "turned left"))
+    assert doubts([TRUNK] * 3, lying, Lie("turned left", 0.05, {})) == []
+    assert doubts([TRUNK] * 3, lying, SURE) != []
+
+
+def test_arms_beside_a_trunk_do_not_count_even_where_they_touch():
+    arms = ellipse(0.35, 0.55) | ellipse(0.2, 0.14, centre=(0, -0.68)) | ellipse(0.2, 0.14, centre=(0, 0.68))
+    assert of(arms).proportion == pytest.approx(TRUNK.proportion, abs=0.1)
+    assert doubts([TRUNK] * 3, of(arms), SURE) == []
+
+
+def test_a_picture_without_outline():
+    (why,) = doubts([HEAD] * 3, outline(np.ones((60, 52), bool), (60, 52)), SURE)
+    assert "outline" in why
+
+
+def test_a_field_of_view_without_air_has_no_outline_to_compare():
+    full = outline(np.ones((60, 60), bool), (60, 60))
+    assert doubts([full] * 3, HEAD, SURE) == []
+
+
+def test_no_way_up_fits_better():
+    (why,) = doubts([HEAD], HEAD, LOST)
+    assert "one way up" in why
+    assert doubts([HEAD], HEAD, LOST, best_margin=2 * GUESS) == []
+
+
+def test_a_quarter_of_the_slices_must_fit():
+    assert doubts([TRUNK, TRUNK, HEAD, HEAD], HEAD, SURE) == []
+    assert doubts([TRUNK] * 7 + [HEAD], HEAD, SURE) != []
+
+
+def test_report_log_and_plan(ct, caplog):
+    volume = Volume(ct.volume.array[3:8], ct.volume.ijk_to_ras)
+    settings = Settings(preset="draft", features="embedded", device="cpu")
+    assert colorize(volume, [ct.reference], settings).report["reference_warnings"] == []
+    flat = np.repeat(np.repeat(ct.reference, 3, axis=1), 2, axis=1)  # as wide as no head
+    report = colorize(volume, [flat], settings).report
+    (entry,) = report["reference_warnings"]
+    assert set(entry) == {"reference", "slices", "why", "remedy"} and entry["slices"] == [0, 4]
+    assert "proportions" in entry["why"] and entry["why"] in caplog.text
+    assert any(entry["why"] in text for text in report["plan"]["warnings"])
