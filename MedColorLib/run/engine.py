@@ -35,6 +35,7 @@ log = logging.getLogger("MedColor")
 
 UNVOTED_TRUST = 1e-3  # of a group's mean colour, where the guard left no match: a fiftieth of the least trusted match
 OWN_LAYER = 3  # whose raster is that of MedColor's own features: positions of 4 x 4 pixels
+NEAR_MM = 80.0  # a head's height beyond the slices asked for: the photograph's level may lie there
 MANY_REFERENCES = 7  # more are taken for one series, whose pictures all lie the same way
 
 
@@ -343,7 +344,7 @@ class Engine:
 
     def _turn_references(self) -> None:
         """Find out which way up the references lie: each for itself, or many (a series of photographs) together."""
-        greys, masks = self.slices_on_grid(sample_slices(self.prepared.plan.slices))
+        greys, masks = self.slices_on_grid(sample_slices(self._slices_near()))
         few = self.references if len(self.references) <= MANY_REFERENCES else sample_slices(self.references)
         lies = [find_way(greys, masks, r.grey, r.mask) for r in few]
         if len(few) < len(self.references):
@@ -364,6 +365,11 @@ class Engine:
         if texts:
             more = [f"and {len(texts) - MANY_REFERENCES} more"] if len(texts) > MANY_REFERENCES else []
             self.prepared.plan.steps["orientation"] = "; ".join([*texts[:MANY_REFERENCES], *more])
+
+    def _slices_near(self) -> list[int]:
+        """The slices to be coloured and the body's others within NEAR_MM: more levels, so that one is like the photograph."""
+        chosen, reach = self.prepared.plan.slices, round(NEAR_MM / self.prepared.slice_spacing_mm)
+        return [int(k) for k in self.prepared.body.slices if chosen[0] - reach <= k <= chosen[-1] + reach]
 
     def _spread_guide(self) -> np.ndarray:
         boxes = [self.slice_in_box(k) for k in sample_slices(self.prepared.plan.slices)]

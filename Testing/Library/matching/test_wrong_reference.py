@@ -49,8 +49,8 @@ def test_arms_beside_a_trunk_do_not_count_even_where_they_touch():
 
 
 def test_a_picture_without_outline():
-    (why,) = doubts([HEAD] * 3, outline(np.ones((60, 52), bool), (60, 52)), SURE)
-    assert "outline" in why
+    wedge = np.tri(60, 60, dtype=bool)
+    assert any("outline" in why for why in doubts([HEAD] * 3, of(wedge), SURE))
 
 
 def test_a_field_of_view_without_air_has_no_outline_to_compare():
