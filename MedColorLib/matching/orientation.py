@@ -37,6 +37,7 @@ _PAIRS = (  # differ in left and right only
 CLEARLY = 0.015  # of similarity, for left and right; their scatter on real heads is up to 0.012
 TURNED = 0.004  # of similarity, for another way up
 GUESS = 0.015  # of similarity between the best two pairs of ways; less is a guess
+SURE = 0.03  # more needs no second look
 SLICES = 6  # that are compared with the photograph; the half that is most like it counts twice
 _SYMMETRY = 0.5  # of similarity, by how much more alike one mirror image is than the other
 _MOST_SYMMETRY = 0.05

@@ -14,7 +14,7 @@ from ..features.components import PROJECTED_LAYERS, kept_energy, principal_compo
 from ..features.kept import reference_features
 from ..matching.assignment import assign
 from ..matching.blending import blended, neighbours
-from ..matching.orientation import Lie, common_way, find_way, turned
+from ..matching.orientation import SURE, Lie, common_way, find_way, turned
 from ..matching.tissue_guard import colors_on_grid
 from ..parameters import PRESETS
 from ..progress import Run
@@ -344,9 +344,8 @@ class Engine:
 
     def _turn_references(self) -> None:
         """Find out which way up the references lie: each for itself, or many (a series of photographs) together."""
-        greys, masks = self.slices_on_grid(sample_slices(self._slices_near()))
         few = self.references if len(self.references) <= MANY_REFERENCES else sample_slices(self.references)
-        lies = [find_way(greys, masks, r.grey, r.mask) for r in few]
+        lies = self._lies(few)
         if len(few) < len(self.references):
             lies = [common_way(lies)] * len(self.references)
         for reference, lie in zip(self.references, lies):
@@ -365,6 +364,19 @@ class Engine:
         if texts:
             more = [f"and {len(texts) - MANY_REFERENCES} more"] if len(texts) > MANY_REFERENCES else []
             self.prepared.plan.steps["orientation"] = "; ".join([*texts[:MANY_REFERENCES], *more])
+
+    def _lies(self, references: Sequence[ReferenceOnGrid]) -> list[Lie]:
+        """How each lies: seen from the slices asked for and, where these do not tell, from those near them, too."""
+        greys, masks = self.slices_on_grid(sample_slices(self.prepared.plan.slices))
+        lies = [find_way(greys, masks, r.grey, r.mask) for r in references]
+        near = self._slices_near()
+        if all(lie.margin > SURE for lie in lies) or len(near) == len(self.prepared.plan.slices):
+            return lies
+        greys, masks = self.slices_on_grid(sample_slices(near))
+        others = [
+            lie if lie.margin > SURE else find_way(greys, masks, r.grey, r.mask) for lie, r in zip(lies, references)
+        ]
+        return [max(both, key=lambda lie: lie.margin) for both in zip(lies, others)]
 
     def _slices_near(self) -> list[int]:
         """The slices to be coloured and the body's others within NEAR_MM: more levels, so that one is like the photograph."""
