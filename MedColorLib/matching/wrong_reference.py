@@ -18,7 +18,9 @@ from .orientation import Lie, turned
 
 OUTLINES_ALIKE = 0.8  # intersection over union in one box: right pairs 0.83 to 0.93, rectangles at most 0.79
 PROPORTIONS = 0.3  # of log(height / width): right pairs up to 0.2, head and trunk 0.4 to 1.1
-LEAST_MARGIN = 0.016  # of similarity between ways up: right pairs 0.02 to 0.07, pictures of something else up to 0.01
+LEAST_MARGIN = (
+    0.018  # of similarity between ways up: right pairs 0.021 to 0.16, pictures of something else mostly below 0.015
+)
 _TRUNK = 0.6  # of the largest inscribed disc's radius
 _LONG_SIDE, _SIDE = 160, 64  # pixels on which outlines are compared
 _RECTANGLE = 0.97  # of its box filled
