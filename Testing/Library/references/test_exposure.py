@@ -98,7 +98,7 @@ def test_tissue_reaches_the_stated_brightness():
 
 def test_muscle_alone_is_not_made_as_bright_as_fat():
     rng = np.random.default_rng(1)
-    picture = np.clip((90, 36, 30) + rng.normal(0, 6, (80, 90, 1)), 0, 255).astype(np.uint8)
+    picture = np.clip(np.array([90, 36, 30]) + rng.normal(0, 6, (80, 90, 1)), 0, 255).astype(np.uint8)
     (found,) = expose([reference(picture, np.ones((80, 90), bool))], "auto")
     lightness = srgb_to_lab(found.rgb.astype(float) / 255)[..., 0].mean()
     assert 45 < lightness < 65
@@ -136,7 +136,7 @@ def test_off_and_a_gain(ct):
 
 @pytest.mark.parametrize("value", ["bright", 0, -1, 100, float("nan"), True, None])
 def test_settings(value):
-    with pytest.raises(SettingsError, match="exposure: expected auto, off or a gain from 0.1 to 10"):
+    with pytest.raises(SettingsError, match="exposure: expected auto, off or a gain"):
         Settings(exposure=value)
 
 
