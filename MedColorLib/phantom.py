@@ -106,7 +106,9 @@ def _blurred(values: np.ndarray, sigmas: tuple[float, ...]) -> np.ndarray:
         padded = np.pad(lines, [(reach, reach)] + [(0, 0)] * (lines.ndim - 1), mode="symmetric")
         total = padded[reach : reach + count] * weights[reach]
         for step in range(reach, 0, -1):
-            total += (padded[reach - step : reach - step + count] + padded[reach + step :][:count]) * weights[reach - step]
+            total += (padded[reach - step : reach - step + count] + padded[reach + step :][:count]) * weights[
+                reach - step
+            ]
         values = np.moveaxis(total, 0, axis)
     return values
 

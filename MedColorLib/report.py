@@ -15,7 +15,17 @@ import numpy as np
 from .errors import OutputError
 
 _PACKAGES = (
-    *("medcolor", "torch", "numpy", "scipy", "opencv-contrib-python-headless", "SimpleITK", "pydicom", "tifffile", "vtk"),
+    *(
+        "medcolor",
+        "torch",
+        "numpy",
+        "scipy",
+        "opencv-contrib-python-headless",
+        "SimpleITK",
+        "pydicom",
+        "tifffile",
+        "vtk",
+    ),
     "safetensors",
 )
 

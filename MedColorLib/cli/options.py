@@ -138,7 +138,11 @@ def _add_settings(add: Callable, body_help: str) -> None:
         metavar="0..1",
         help="natural luminance from the scan's own (0) to the reference's (1) (default: %(default)s)",
     )
-    add("--gamma", choices=("on", "off"), help="transfer between gamma 1/2 and 2 (default: on in full with --luminance paper)")
+    add(
+        "--gamma",
+        choices=("on", "off"),
+        help="transfer between gamma 1/2 and 2 (default: on in full with --luminance paper)",
+    )
     add(
         "--reconstruction",
         choices=RECONSTRUCTIONS,

@@ -32,7 +32,7 @@ CONTEXT_WEIGHTS = {"vgg19": (0.5, 0.5), "gray-vgg19": (0.5, 0.5)}
 
 
 # Of the own features: what the coarsest level says of the place in the body is left out, so that hue follows tissue.
-OWN_CONTEXT = float(__import__("os").environ.get("NAT_CTX", "0"))
+OWN_CONTEXT = 0.0
 
 
 class Extractor(Protocol):

@@ -17,7 +17,9 @@ from .fields import exact
 from .fields.field import warp
 
 PATCH_RADIUS = 1
-GROUP_WEIGHT = 4.0  # one pixel of another tissue group costs its square; a patch of features and position has at most 10
+GROUP_WEIGHT = (
+    4.0  # one pixel of another tissue group costs its square; a patch of features and position has at most 10
+)
 POSITION_WEIGHT = 0.1  # similarity lost over 0.8 of the body's width, in units of the cosine of the features
 
 

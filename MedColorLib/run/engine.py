@@ -52,7 +52,7 @@ class ReferenceOnGrid:
         if groups is not None:
             self.lab, self.groups = colors_on_grid(groups, reference, grid, self.mask)
         self.lie: Lie | None = None
-        self.contrast = None
+        self.contrast = self.usual = None
 
     @property
     def way(self) -> str:
@@ -243,7 +243,6 @@ class Engine:
 
     def _match_one(self, ks: Sequence[int], index: int):
         """Match slices with one reference, or take up what an interrupted run kept in `store`."""
-        import torch
 
         from ..matching.vote import matched_colors
 
@@ -255,7 +254,7 @@ class Engine:
         found = stored or self._correspondence(index, greys * masks, matched, masks, within)
         self.searched = found.searched
         with self.run.timed("matching"):
-            own_lab = torch.from_numpy(reference.lab.astype(np.float32)).permute(2, 0, 1)[None].to(self.device)
+            own_lab = self._on_device(reference.lab)
             if within is None:
                 lab = matched_colors(found.field, found.layer, own_lab)
             else:
@@ -269,8 +268,18 @@ class Engine:
             lab = within.completed(lab, unvoted)
             for k, mask, without in zip(ks, masks, unvoted):
                 self.unmatched[k] = max(self.unmatched.get(k, 0.0), float(without.sum() / max(mask.sum(), 1)))
-        trusts = self._trusts(found, reference, matched, masks, lab, unvoted) if self.reads_trust else [None] * len(ks)
+        trusts = (
+            self._trusts(found, reference, matched, masks, greys, lab, unvoted)
+            if self.reads_trust
+            else [None] * len(ks)
+        )
         return greys, masks, lab, trusts
+
+    def _on_device(self, lab: np.ndarray) -> Tensor:
+        """(H, W, 3) -> (1, 3, H, W) float32."""
+        import torch
+
+        return torch.from_numpy(lab.astype(np.float32)).permute(2, 0, 1)[None].to(self.device)
 
     def _within(self, ks: Sequence[int], index: int, masks: np.ndarray) -> WithinGroups:
         """How slices and reference `index` are kept inside the groups of the guard."""
@@ -329,13 +338,15 @@ class Engine:
                 keep_reverse=self.reads_trust,
             )
 
-    def _trusts(self, found, reference, matched, masks, lab, unvoted=None) -> list:
+    def _trusts(self, found, reference, matched, masks, greys, lab, unvoted=None) -> list:
         from ..color.lab import lightness_to_gray
         from ..matching.confidence import LEAST_TRUST, LIKENESS_RANGE, consistency, in_range, on_full_grid, trust_of
 
         home = on_full_grid(consistency(found.field, found.reverse), masks.shape[1:])
         alike = on_full_grid(in_range(found.likeness, *LIKENESS_RANGE[self.extractor.name]), masks.shape[1:])
         confidence = (home * alike + LEAST_TRUST).cpu().numpy() * masks
+        if reference.usual is not None:
+            confidence *= reference.usual.share(greys, lab)
         if unvoted is not None:
             confidence[unvoted] = UNVOTED_TRUST
         seen = np.clip(lightness_to_gray(lab[..., 0].astype(np.float64)), 0, 1)
@@ -393,6 +404,8 @@ class Engine:
         from ..matching.analogy import deep_image_analogy
         from ..matching.coarse import mean_inside
         from ..matching.contrast import match_contrast, seen_contrast, seen_luminance
+        from ..matching.usual import usual_colors
+        from ..matching.vote import matched_colors
 
         reference, needed = self.references[index], self.features_of(index)
         own = [k for k, chosen in self.choice.items() if chosen == index]
@@ -400,6 +413,14 @@ class Engine:
         if self.own_features:
             field = self._own_match(index, greys * masks, masks).field
             reference.contrast = seen_contrast(greys, masks, seen_luminance(reference.grey, field, OWN_LAYER))
+            lab = (
+                matched_colors(field, OWN_LAYER, self._on_device(reference.lab))
+                .permute(0, 2, 3, 1)
+                .float()
+                .cpu()
+                .numpy()
+            )
+            reference.usual = usual_colors(greys[masks], lab[masks])
             log.info("contrast for %s: %s", reference.name, reference.contrast.describe())
             return
         mask_tensor = torch.from_numpy(masks).to(self.device)

@@ -182,7 +182,9 @@ class TestRegion:
         inside = np.zeros(part.rgb.shape[:3], bool)
         inside[:, 20:45, 10:] = True
         differs = (part.rgb != whole.rgb).any(axis=-1) & inside
-        face = inside.copy()  # the border of the body looks some voxels around itself, and nothing is seen beyond a face
+        face = (
+            inside.copy()
+        )  # the border of the body looks some voxels around itself, and nothing is seen beyond a face
         face[:, 26:39, 16:] = False
         assert not differs[~face].any() and differs.mean() < 0.02
         assert part.rgb[inside].any() and not part.rgb[~inside].any()

@@ -1,0 +1,67 @@
+"""Stage *usual colours*: a match that gives a grey a colour which that grey hardly ever has counts less.
+
+Features know the place in the body as well as the tissue. Where a scan shows another level than its photograph, the front of a
+brain may be matched with the orbits that the photograph has there. In MR grey tells brain from orbit: all over the volume
+this grey is matched with brain. In CT it does not, nearly all soft tissue has one grey; there this stage says nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+RARE = 0.25  # share of the usual colour's frequency from which a colour counts in full
+_LEVELS = (16, 14, 10)  # of grey 0..1, L* 0..100, chroma 0..50
+_TOP = (1.0, 100.0, 50.0)
+_TELLS_TISSUE = (
+    0.45,
+    0.65,
+)  # share of the body in two neighbouring levels of grey: up to it grey tells tissue; from it, nothing
+
+
+@dataclass(frozen=True)
+class UsualColors:
+    """How often a grey is matched with a colour.
+
+    Attributes:
+        table: _LEVELS float32, 0 (never) to 1 (as usual).
+    """
+
+    table: np.ndarray
+
+    def share(self, grey: np.ndarray, lab: np.ndarray) -> np.ndarray:
+        """float32 0..1, how far each match counts. grey: (...) display grey 0..1; lab: (..., 3) its matched colour."""
+        return self.table[tuple(_levels(grey, lab))]
+
+
+def usual_colors(grey: np.ndarray, lab: np.ndarray) -> UsualColors | None:
+    """From pixels of several slices; None where grey tells no tissue.
+
+    Args:
+        grey: (n,) display grey 0..1 inside the body. lab: (n, 3) L* a* b* of their matches.
+    """
+    from scipy.ndimage import gaussian_filter
+
+    rare = RARE * grey_tells_tissue(grey)
+    if rare == 0:
+        return None
+    counts = np.zeros(_LEVELS)
+    np.add.at(counts, tuple(_levels(grey, lab)), 1)
+    counts = gaussian_filter(counts, 1.0, mode="nearest")
+    most = np.maximum(counts.max((1, 2), keepdims=True), 1e-9)
+    return UsualColors(np.clip(counts / (rare * most), 0, 1).astype(np.float32))
+
+
+def grey_tells_tissue(grey: np.ndarray) -> float:
+    """0..1: 0 where two of sixteen levels of grey hold most of the body, as in CT, 1 where it is spread, as in MR."""
+    counts, _ = np.histogram(grey, _LEVELS[0], (0, 1))
+    share = (counts[1:] + counts[:-1]).max() / max(grey.size, 1)
+    low, high = _TELLS_TISSUE
+    return float(np.clip((high - share) / (high - low), 0, 1))
+
+
+def _levels(grey: np.ndarray, lab: np.ndarray) -> list[np.ndarray]:
+    chroma = np.hypot(lab[..., 1], lab[..., 2])
+    values = zip((grey, lab[..., 0], chroma), _TOP, _LEVELS)
+    return [np.clip(v * (count / top), 0, count - 1).astype(np.int64) for v, top, count in values]
