@@ -27,6 +27,7 @@ _DEFLATED = "1.2.840.10008.1.2.1.99"
 _PIXEL_TAGS = {0x7FE00010: None, 0x7FE00008: "f4", 0x7FE00009: "f8"}
 _NO_SCANS = ("SEG", "RTDOSE", "RTSTRUCT", "RTPLAN", "PR", "KO", "SR", "DOC", "REG")
 _FILMS = (0x00181063, 0x00181065)  # FrameTime, FrameTimeVector: what FrameIncrementPointer says of a film
+_FILMERS = ("US", "IVUS", "XA", "RF", "ES", "GM", "XC", "OP")
 _MAX_FRAMES = 1 << 20
 
 
@@ -260,7 +261,7 @@ def _multi_frame(header, groups, common: dict, pixels: Pixels) -> list[Frame]:
     shared = next(iter(header.get("SharedFunctionalGroupsSequence") or []), None)
     common_words = Words(values_of(_macros(shared)), *_detector(header), header)
     offsets = _numbers(header.get("GridFrameOffsetVector"))
-    film = any(int(tag) in _FILMS for tag in _listed(header.get("FrameIncrementPointer"))) and not groups
+    film = _is_film(header) and not groups
     frames = []
     for number in range(pixels.frames):
         own = values_of(_macros(groups[number] if number < len(groups) else None))
@@ -275,6 +276,15 @@ def _multi_frame(header, groups, common: dict, pixels: Pixels) -> list[Frame]:
             changed["equidistant"] = not offsets
         frames.append(replace(frame, **changed))
     return frames
+
+
+def _is_film(header) -> bool:
+    """Frames that follow each other in time or around the patient, not in space."""
+    if header.get("SliceVector") is not None:
+        return False
+    pointers = [int(tag) for tag in _listed(header.get("FrameIncrementPointer"))]
+    by_modality = str(header.get("Modality", "")) in _FILMERS and header.get("ImagePositionPatient") is None
+    return by_modality or any(tag in _FILMS or tag >> 16 == 0x0054 for tag in pointers)
 
 
 def _along(frame: Frame, offsets: tuple[float, ...], number: int, place: float) -> tuple[float, ...]:
