@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 import math
 import warnings
+import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -28,6 +29,7 @@ _PIXEL_TAGS = {0x7FE00010: None, 0x7FE00008: "f4", 0x7FE00009: "f8"}
 _NO_SCANS = ("SEG", "RTDOSE", "RTSTRUCT", "RTPLAN", "PR", "KO", "SR", "DOC", "REG")
 _FILMS = (0x00181063, 0x00181065)  # FrameTime, FrameTimeVector: what FrameIncrementPointer says of a film
 _FILMERS = ("US", "IVUS", "XA", "RF", "ES", "GM", "XC", "OP")
+_MAX_DEFLATED = 1 << 30  # bytes
 _MAX_FRAMES = 1 << 20
 
 
@@ -141,6 +143,7 @@ def read_frames(path: Path) -> list[Frame]:
 
     try:
         with path.open("rb") as file:
+            _check_deflated(file)
             header = pydicom.dcmread(file, stop_before_pixels=True, force=True)
             at = _pixel_offset(file, header)
         return _frames(path, header, *at)
@@ -148,6 +151,25 @@ def read_frames(path: Path) -> list[Frame]:
         raise
     except Exception:  # pydicom raises whatever a damaged header makes its parts raise
         return []
+
+
+def _check_deflated(file) -> None:
+    """Refuse a file packed as a whole that unpacks to more than any image: pydicom unpacks it at once.
+
+    Raises:
+        ValueError: it does.
+    """
+    head = file.read(1024)
+    if head[128:132] == b"DICM" and _DEFLATED.encode() in head:
+        file.seek(144 + int.from_bytes(head[140:144], "little"))  # behind the group of the file's own words
+        unpacker, total = zlib.decompressobj(-zlib.MAX_WBITS), 0
+        while (data := file.read(1 << 16)) and not unpacker.eof:
+            while data and total <= _MAX_DEFLATED:
+                total += len(unpacker.decompress(data, 1 << 24))
+                data = unpacker.unconsumed_tail
+        if total > _MAX_DEFLATED:
+            raise ValueError("unpacks to more than any image")
+    file.seek(0)
 
 
 def _pixel_offset(file, header) -> tuple[int, int, int]:
