@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError
-from .dicom_header import NATIVE, Frame, Pixels, quiet_pydicom
+from .dicom_file import NATIVE, quiet_pydicom
+from .dicom_header import Frame, Pixels
 from .quiet import itk_name, quiet_itk
 
 _RUN_LENGTHS = "1.2.840.10008.1.2.5"

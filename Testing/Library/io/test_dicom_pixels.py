@@ -11,6 +11,7 @@ import pydicom
 import pytest
 import SimpleITK as sitk
 from dicom_samples import classic, enhanced, planes, save
+from pydicom.dataelem import RawDataElement
 from pydicom.encaps import encapsulate
 from pydicom.uid import DeflatedExplicitVRLittleEndian, ExplicitVRBigEndian, ImplicitVRLittleEndian, RLELossless
 
@@ -30,9 +31,21 @@ def test_byte_orders_and_deflated(tmp_path: Path) -> None:
         np.testing.assert_array_equal(read_volume(tmp_path / syntax).array[0], PLANE)
 
 
+def test_file_of_zeros_is_no_header_of_millions_of_elements(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen = []
+    monkeypatch.setattr("pydicom.filereader.RawDataElement", lambda *values: seen.append(1) or RawDataElement(*values))
+    save(classic(PLANE, 0, 1), tmp_path / "sound.dcm")
+    sound = (tmp_path / "sound.dcm").read_bytes()
+    for beginning in (b"", bytes(128) + b"DICM", sound[:-200]):
+        (tmp_path / "a.dcm").write_bytes(beginning + bytes(8_000_000))
+        with pytest.raises(InputError, match="no readable DICOM image"):
+            read_volume(tmp_path / "a.dcm")
+    assert 0 < len(seen) < 100_000
+
+
 def test_deflated_file_that_unpacks_to_more_than_any_image(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Zeros behind the header; pydicom would unpack them all at once."""
-    monkeypatch.setattr("MedColorLib.io.dicom_header._MAX_DEFLATED", 1 << 25)
+    monkeypatch.setattr("MedColorLib.io.dicom_file._MAX_DEFLATED", 1 << 25)
     ds = classic(PLANE, 0, 1)
     ds.file_meta.TransferSyntaxUID = DeflatedExplicitVRLittleEndian
     save(ds, tmp_path / "a.dcm")
