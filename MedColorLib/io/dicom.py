@@ -1,8 +1,9 @@
 """DICOM in: one volume of one contrast, acquisition and time point out of the files of a folder, as a `Volume`.
 
-`dicom_header` reads what the files say (pydicom), `dicom_volumes` finds the volumes among them, `dicom_grid` lays the slices
-where their positions are, `dicom_pixels` decodes. `dcm2niix` was tried instead: it stacks two acquisitions of one series in
-each other without a word, does not tell of gaps, and knows no mosaic without Siemens' private header.
+`dicom_file` opens files, `dicom_header` reads what they say (pydicom), `dicom_volumes` finds the volumes among them,
+`dicom_grid` lays the slices where their positions are, `dicom_pixels` decodes. `dcm2niix` was tried instead: it stacks two
+acquisitions of one series in each other without a word, does not tell of gaps, and knows no mosaic without Siemens' private
+header.
 
 Reasons for everything that was decided or left out go into `Volume.notes`. Neither notes, names nor messages carry a
 patient's or study's data, and no file names (scanners put names of people into them): a slice is called by its number.
@@ -18,8 +19,9 @@ import numpy as np
 from ..errors import InputError
 from ..volume import Volume
 from .choice import Choice, chosen_note, pick
+from .dicom_file import DICOM_ENDINGS, is_dicom, quiet_pydicom
 from .dicom_grid import Grid, grid_of, resampled
-from .dicom_header import DICOM_ENDINGS, Frame, is_dicom, quiet_pydicom, read_frames
+from .dicom_header import Frame, read_frames
 from .dicom_pixels import value_type, values
 from .dicom_volumes import Stack, find_stacks
 from .voxel_data import check_size, has_temporary_room, natural_key, temporarily_mapped

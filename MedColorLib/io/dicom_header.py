@@ -6,27 +6,20 @@ of its own functional groups. A Siemens mosaic is as many as it has tiles.
 
 from __future__ import annotations
 
-import logging
 import math
-import warnings
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..errors import MissingPackageError
+from .dicom_file import NATIVE, PIXEL_TAGS, read_header, syntax_of
 from .dicom_traits import Words, frame_traits, traits_of, values_of
 
-DICOM_ENDINGS = (".dcm", ".dicom", ".ima")
-NATIVE = ("1.2.840.10008.1.2", "1.2.840.10008.1.2.1", "1.2.840.10008.1.2.2")  # implicit, explicit, big endian
-_BIG_ENDIAN = "1.2.840.10008.1.2.2"
-_DEFLATED = "1.2.840.10008.1.2.1.99"
-_PIXEL_TAGS = {0x7FE00010: None, 0x7FE00008: "f4", 0x7FE00009: "f8"}
 _NO_SCANS = ("SEG", "RTDOSE", "RTSTRUCT", "RTPLAN", "PR", "KO", "SR", "DOC", "REG")
 _FILMS = (0x00181063, 0x00181065)  # FrameTime, FrameTimeVector: what FrameIncrementPointer says of a film
+_FILMERS = ("US", "IVUS", "XA", "RF", "ES", "GM", "XC", "OP")
 _MAX_FRAMES = 1 << 20
 
 
@@ -89,88 +82,14 @@ class Frame:
         return f"{self.modality or 'DICOM'} series {self.series_number}".rstrip()
 
 
-def is_dicom(path: Path) -> bool:
-    """True for a file that is DICOM by its ending, its first bytes, or (without a preamble) its first element.
-
-    The directory of a medium is none: it holds no image.
-    """
-    if path.name.upper() == "DICOMDIR":
-        return False
-    if path.suffix.lower() in DICOM_ENDINGS:
-        return True
-    with path.open("rb") as file:
-        head = file.read(132)
-    return head[128:] == b"DICM" or _begins_with_an_element(head)
-
-
-def _begins_with_an_element(head: bytes) -> bool:
-    """Group 0002 or 0008, and a length that an element there may have; explicit or implicit."""
-    if len(head) < 132 or head[:2] not in (b"\x02\x00", b"\x08\x00") or head[3] != 0:
-        return False
-    explicit = head[4:6].isalpha() and head[4:6].isupper()
-    length = int.from_bytes(head[6:8] if explicit else head[4:8], "little")
-    end = 8 + length
-    return length <= 64 and length % 2 == 0 and head[end : end + 2] in (b"\x02\x00", b"\x08\x00")
-
-
-@contextmanager
-def quiet_pydicom() -> Iterator[None]:
-    """Keep remarks on odd headers off stderr: what matters of them is checked here and noted.
-
-    Raises:
-        MissingPackageError: pydicom is not installed.
-    """
-    try:
-        import pydicom  # noqa: F401
-    except ImportError as error:
-        raise MissingPackageError("DICOM needs the package pydicom: pip install pydicom") from error
-    logger = logging.getLogger("pydicom")
-    before, logger.disabled = logger.disabled, True
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            yield
-    finally:
-        logger.disabled = before
-
-
 def read_frames(path: Path) -> list[Frame]:
     """The frames of a file; none for other objects and damaged files."""
-    import pydicom
-
     try:
-        with path.open("rb") as file:
-            header = pydicom.dcmread(file, stop_before_pixels=True, force=True)
-            at = _pixel_offset(file, header)
-        return _frames(path, header, *at)
+        return _frames(path, *read_header(path))
     except (OSError, MemoryError):
         raise
     except Exception:  # pydicom raises whatever a damaged header makes its parts raise
         return []
-
-
-def _pixel_offset(file, header) -> tuple[int, int, int]:
-    """(tag, offset, length) of the pixels' value, or 0, -1, 0 where the file cannot be read in place."""
-    syntax = _syntax(header)
-    if syntax == _DEFLATED:
-        return 0x7FE00010, -1, 0
-    order = "big" if syntax == _BIG_ENDIAN else "little"
-    head = file.read(12)
-    tag = (int.from_bytes(head[:2], order) << 16) + int.from_bytes(head[2:4], order)
-    if tag not in _PIXEL_TAGS or len(head) < 12:
-        return 0, -1, 0
-    if head[4:6].isalpha():
-        return tag, file.tell(), int.from_bytes(head[8:], order)
-    return tag, file.tell() - 4, int.from_bytes(head[4:8], order)
-
-
-def _syntax(header) -> str:
-    """The transfer syntax; of files without one that which `pydicom` took."""
-    given = getattr(header.file_meta, "TransferSyntaxUID", None) if hasattr(header, "file_meta") else None
-    if given:
-        return str(given)
-    implicit, little = getattr(header, "original_encoding", (True, True))
-    return NATIVE[0] if implicit else NATIVE[1 if little else 2]
 
 
 def _frames(path: Path, header, tag: int, offset: int, length: int) -> list[Frame]:
@@ -207,7 +126,7 @@ def _pixels(header, tag: int, offset: int) -> tuple[Pixels, bool]:
     allocated = int(header.BitsAllocated)
     stored = int(header.get("BitsStored", allocated))
     high = int(header.get("HighBit", stored - 1))
-    real = _PIXEL_TAGS[tag]
+    real = PIXEL_TAGS[tag]
     frames, rows, columns = int(header.get("NumberOfFrames", 1) or 1), int(header.Rows), int(header.Columns)
     if min(rows, columns, frames) < 1 or frames > _MAX_FRAMES:
         raise ValueError("no pixels")
@@ -216,7 +135,7 @@ def _pixels(header, tag: int, offset: int) -> tuple[Pixels, bool]:
     signed = bool(int(header.get("PixelRepresentation", 0))) and real is None
     inverted = str(header.get("PhotometricInterpretation", "")).strip() == "MONOCHROME1" and real is None
     bits = (allocated, stored, high)
-    return Pixels(offset, frames, rows, columns, _syntax(header), bits, signed, real, inverted), color
+    return Pixels(offset, frames, rows, columns, syntax_of(header), bits, signed, real, inverted), color
 
 
 def _frame(words: Words, common: dict, number: int, pixels: Pixels, **changed) -> Frame:
@@ -260,7 +179,7 @@ def _multi_frame(header, groups, common: dict, pixels: Pixels) -> list[Frame]:
     shared = next(iter(header.get("SharedFunctionalGroupsSequence") or []), None)
     common_words = Words(values_of(_macros(shared)), *_detector(header), header)
     offsets = _numbers(header.get("GridFrameOffsetVector"))
-    film = any(int(tag) in _FILMS for tag in _listed(header.get("FrameIncrementPointer"))) and not groups
+    film = _is_film(header) and not groups
     frames = []
     for number in range(pixels.frames):
         own = values_of(_macros(groups[number] if number < len(groups) else None))
@@ -275,6 +194,15 @@ def _multi_frame(header, groups, common: dict, pixels: Pixels) -> list[Frame]:
             changed["equidistant"] = not offsets
         frames.append(replace(frame, **changed))
     return frames
+
+
+def _is_film(header) -> bool:
+    """Frames that follow each other in time or around the patient, not in space."""
+    if header.get("SliceVector") is not None:
+        return False
+    pointers = [int(tag) for tag in _listed(header.get("FrameIncrementPointer"))]
+    by_modality = str(header.get("Modality", "")) in _FILMERS and header.get("ImagePositionPatient") is None
+    return by_modality or any(tag in _FILMS or tag >> 16 == 0x0054 for tag in pointers)
 
 
 def _along(frame: Frame, offsets: tuple[float, ...], number: int, place: float) -> tuple[float, ...]:

@@ -10,10 +10,12 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError
-from .dicom_header import NATIVE, Frame, Pixels, quiet_pydicom
+from .dicom_file import NATIVE, quiet_pydicom
+from .dicom_header import Frame, Pixels
 from .quiet import itk_name, quiet_itk
 
 _RUN_LENGTHS = "1.2.840.10008.1.2.5"
+_LARGE, _MAX_RATIO = 1 << 26, 10_000  # no frame of so many bytes is packed so well
 _SECONDARY_CAPTURE = "1.2.840.10008.5.1.4.1.1.7"
 
 
@@ -133,6 +135,9 @@ def _by_gdcm(packed: bytes, pixels: Pixels) -> np.ndarray:
     """One packed frame, unpacked by GDCM from a file of its own that holds nothing else of the header."""
     import SimpleITK as sitk
 
+    size = pixels.rows * pixels.columns * pixels.stored.itemsize
+    if size > _LARGE and len(packed) * _MAX_RATIO < size:
+        raise ValueError("less than the frame that the header speaks of")
     with tempfile.TemporaryDirectory() as folder, quiet_itk():
         path = Path(folder, "frame.dcm")
         _write_frame(path, packed, pixels)

@@ -116,7 +116,7 @@ def frame_traits(words: Words, own: dict, number: int) -> tuple[dict[str, Any], 
         found[f"dimension {place + 1}:"] = int(index)
     slices = words.get("SliceVector")
     if slices is not None:
-        return found, float(_nth(slices, number))
+        return found, float(_nth(slices, number) - 1)
     place = own.get("InStackPositionNumber")
     return found, None if place is None else float(place)
 

@@ -14,6 +14,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from ..errors import InputError
+from .voxel_data import MAX_DEFLATE_RATIO
 
 _MAGIC = b"\x89PNG\r\n\x1a\n"
 _GREY, _PALETTE = 0, 3  # colour types of the PNG specification that hold one number per pixel
@@ -60,6 +61,10 @@ def _with_plain_values(data: bytes, name: str) -> bytes:
         raise InputError(f"reference labels {name}: the PNG is damaged; save it again")
     header = chunks[0][1]
     bits, kind = header[8], header[9]
+    columns, rows = struct.unpack(">II", header[:8])
+    packed = sum(len(content) for what, content in chunks if what == b"IDAT")
+    if bits not in (1, 2, 4, 8, 16) or rows * columns * bits // 8 > packed * MAX_DEFLATE_RATIO:
+        raise InputError(f"reference labels {name}: the PNG is damaged; save it again")
     if kind not in (_GREY, _PALETTE):
         raise InputError(f"reference labels {name}: a colour picture; save the labels as PNG, grey or with a palette")
     parts = [_MAGIC]

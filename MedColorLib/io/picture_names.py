@@ -97,9 +97,8 @@ def _notes(names: list[_Name], signs: bool, decimals: bool, readings: dict) -> l
 
 
 def _unpadded(names: list[_Name]) -> bool:
-    """Whether the numbers are written without leading zeros, in different lengths."""
-    digits = [re.findall(r"-(\d+)", name.file.stem) for name in names]
-    return len({len(found[-1]) for found in digits if found}) > 1 or len(names) < 10
+    """Whether no number after a dash is written with leading zeros, as positions are."""
+    return not any(re.search(r"-0\d", name.file.stem) for name in names)
 
 
 def _divided(names: list[_Name], notes: list[str]) -> list[NamedSeries]:
@@ -120,14 +119,21 @@ def _divided(names: list[_Name], notes: list[str]) -> list[NamedSeries]:
         for name in names:
             groups.setdefault(tuple(name.numbers[column] for column in others), []).append(name)
         return [_series(_sorted(groups[key]), [*notes, *_missing(groups[key], along)]) for key in sorted(groups)]
-    more = _missing(names, varying[0]) if len(varying) == 1 else []
-    if len(varying) > 1 and max(counts) < len(names):
-        more = ["several numbers of the names differ, and none of them alone tells the order; the first counts most"]
-    return [_series(_sorted(names), [*notes, *more])]
+    if len(varying) < 2:
+        return [_series(_sorted(names), [*notes, *(_missing(names, varying[0]) if varying else [])])]
+    alone = [column for column, count in zip(varying, counts) if count == len(names)]
+    if not alone:
+        several = "several numbers of the names differ, and none of them alone tells the order; the first counts most"
+        return [_series(_sorted(names), [*notes, several])]
+    orders = {tuple(np.argsort(table[:, column])) for column in alone}
+    doubt = ["two numbers of the names tell different orders; the first of them is taken"] if len(orders) > 1 else []
+    return [_series(_sorted(names, alone[0]), [*notes, *doubt, *_missing(names, alone[0])])]
 
 
-def _sorted(names: list[_Name]) -> list[_Name]:
-    return sorted(names, key=lambda name: (name.numbers, name.letter, natural_key(name.file)))
+def _sorted(names: list[_Name], column: int | None = None) -> list[_Name]:
+    """In the order of one number, or of all."""
+    first = slice(None) if column is None else slice(column, column + 1)
+    return sorted(names, key=lambda name: (name.numbers[first], name.letter, natural_key(name.file)))
 
 
 def _series(names: list[_Name], notes: list[str]) -> NamedSeries:

@@ -87,3 +87,23 @@ def test_mosaic_as_nibabel_lays_it(tmp_path: Path) -> None:
     data = header.pixel_array.reshape(3, 6, 3, 5).transpose(0, 2, 1, 3).reshape(9, 6, 5)
     np.testing.assert_array_equal(ours.array, data)
     np.testing.assert_allclose((np.diag([-1, -1, 1, 1]) @ theirs.affine)[:, [1, 0, 2, 3]], ours.ijk_to_ras, atol=1e-6)
+
+
+@pytest.mark.filterwarnings("ignore:The DICOM readers are highly experimental")
+@pytest.mark.parametrize("by_private_header", [False, True])
+def test_mosaic_of_a_scanner(by_private_header: bool, tmp_path: Path) -> None:
+    """nibabel's own sample: the header of a Siemens scanner, 48 slices, their normal in its private header."""
+    import pydicom
+    from nibabel.nicom.dicomwrappers import wrapper_from_file
+
+    sample = Path(nib.__file__).parent / "tests" / "data" / "0.dcm"
+    if not sample.is_file():
+        pytest.skip("this nibabel comes without its samples")
+    header = pydicom.dcmread(sample)
+    if by_private_header:
+        del header[0x0019, 0x100A]
+    header.save_as(tmp_path / "a.dcm")
+    volume, theirs = read_volume(tmp_path / "a.dcm"), wrapper_from_file(sample)
+    assert volume.array.shape == theirs.image_shape[::-1] == (48, 36, 36)
+    affine = (np.diag([-1, -1, 1, 1]) @ theirs.affine)[:, [1, 0, 2, 3]]
+    np.testing.assert_allclose(volume.ijk_to_ras, affine, atol=1e-5)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +11,7 @@ import pydicom
 import pytest
 import SimpleITK as sitk
 from dicom_samples import classic, enhanced, planes, save
+from pydicom.dataelem import RawDataElement
 from pydicom.encaps import encapsulate
 from pydicom.uid import DeflatedExplicitVRLittleEndian, ExplicitVRBigEndian, ImplicitVRLittleEndian, RLELossless
 
@@ -26,6 +29,37 @@ def test_byte_orders_and_deflated(tmp_path: Path) -> None:
             ds.PixelData = PLANE.astype(">u2").tobytes()
         save(ds, tmp_path / syntax / "a.dcm")
         np.testing.assert_array_equal(read_volume(tmp_path / syntax).array[0], PLANE)
+
+
+def test_file_of_zeros_is_no_header_of_millions_of_elements(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen = []
+    monkeypatch.setattr("pydicom.filereader.RawDataElement", lambda *values: seen.append(1) or RawDataElement(*values))
+    save(classic(PLANE, 0, 1), tmp_path / "sound.dcm")
+    sound = (tmp_path / "sound.dcm").read_bytes()
+    for beginning in (b"", bytes(128) + b"DICM", sound[:-200]):
+        (tmp_path / "a.dcm").write_bytes(beginning + bytes(8_000_000))
+        with pytest.raises(InputError, match="no readable DICOM image"):
+            read_volume(tmp_path / "a.dcm")
+    assert 0 < len(seen) < 100_000
+
+
+def test_deflated_file_that_unpacks_to_more_than_any_image(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Zeros behind the header; pydicom would unpack them all at once."""
+    monkeypatch.setattr("MedColorLib.io.dicom_file._MAX_DEFLATED", 1 << 25)
+    ds = classic(PLANE, 0, 1)
+    ds.file_meta.TransferSyntaxUID = DeflatedExplicitVRLittleEndian
+    save(ds, tmp_path / "a.dcm")
+    data = (tmp_path / "a.dcm").read_bytes()
+    start = 144 + int.from_bytes(data[140:144], "little")
+    plain = zlib.decompress(data[start:], -15)
+    packer = zlib.compressobj(9, wbits=-15)
+    packed = packer.compress(plain) + b"".join(packer.compress(bytes(1 << 24)) for _ in range(8)) + packer.flush()
+    (tmp_path / "a.dcm").write_bytes(data[:start] + packed)
+    tracemalloc.start()
+    with pytest.raises(InputError, match="no readable DICOM image"):
+        read_volume(tmp_path / "a.dcm")
+    assert tracemalloc.get_traced_memory()[1] < 70 << 20
+    tracemalloc.stop()
 
 
 @pytest.mark.parametrize("signed", [0, 1])

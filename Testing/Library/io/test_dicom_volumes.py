@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from dicom_samples import ORIGIN_MM, STEP_MM, classic, enhanced, mosaic, planes, save, save_stack
+from dicom_samples import ORIGIN_MM, STEP_MM, classic, enhanced, macro, mosaic, planes, save, save_stack
+from pydicom.dataset import Dataset
 from pydicom.uid import generate_uid
 
 from MedColorLib.errors import InputError
@@ -254,14 +255,42 @@ def test_a_concatenation_is_one_volume_and_two_files_are_two(tmp_path: Path) -> 
     is_either(tmp_path / "two", "no. 2 of 2")
 
 
-def test_a_film_is_no_stack(tmp_path: Path) -> None:
-    ds = enhanced(A, HEIGHTS)
+def without_groups(frames: np.ndarray, **fields) -> Dataset:
+    """A multi-frame file as nuclear medicine and X-ray write them: one position, and vectors."""
+    ds = enhanced(frames, [0] * len(frames))
     del ds.PerFrameFunctionalGroupsSequence, ds.SharedFunctionalGroupsSequence
-    ds.FrameIncrementPointer, ds.FrameTime = 0x00181063, 40
-    save(ds, tmp_path / "a.dcm")
+    ds.PixelSpacing, ds.SpacingBetweenSlices = [0.5, 0.75], STEP_MM
+    for name, value in fields.items():
+        setattr(ds, name, value)
+    return ds
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"FrameIncrementPointer": 0x00181063, "FrameTime": 40},
+        {"FrameIncrementPointer": 0x00540090, "AngularViewVector": [*range(1, 11)], "Modality": "NM"},
+        {"Modality": "US"},
+    ],
+)
+def test_films_and_projections_are_no_stacks(fields: dict, tmp_path: Path) -> None:
+    save(without_groups(A, **fields), tmp_path / "a.dcm")
     volume = read_volume(tmp_path / "a.dcm")
     np.testing.assert_array_equal(volume.array, A[:1])
-    assert "frame of a film 2" in volume.notes[0]
+    assert "the first of 10 volumes; left out: 2: " in volume.notes[0] and " and 1 more" in volume.notes[0]
+
+
+@pytest.mark.parametrize("upwards", [True, False])
+def test_slices_and_energy_windows_of_nuclear_medicine(upwards: bool, tmp_path: Path) -> None:
+    slices = [*range(1, 11)] if upwards else [*range(10, 0, -1)]
+    detector = macro(ImageOrientationPatient=[1, 0, 0, 0, 1, 0], ImagePositionPatient=[*ORIGIN_MM, 7])
+    pointers = {"FrameIncrementPointer": [0x00540010, 0x00540080], "DetectorInformationSequence": detector}
+    vectors = {"EnergyWindowVector": [1] * 10 + [2] * 10, "SliceVector": slices * 2, "Modality": "NM"}
+    save(without_groups(np.concatenate([A, B]), **pointers, **vectors), tmp_path / "a.dcm")
+    is_either(tmp_path, "energy window 2", *((A, B) if upwards else (A[::-1], B[::-1])))
+    volume = read_volume(tmp_path / "a.dcm")
+    np.testing.assert_allclose(volume.ijk_to_ras[:3, 3], (20.5, -30.25, 7))
+    assert "equidistant, as its header says" in volume.notes[1]
 
 
 # --- mosaics --------------------------------------------------------------------------------------------------------
