@@ -140,11 +140,10 @@ class ContrastNet(nn.Module):
         early = x
         x = quarter = _residual(self.quarter, x)
         x = eighth = _residual(self.eighth, self.to_eighth(x))
+        far = torch.zeros_like(eighth)  # nothing reads the coarsest level where its share is 0
         if context:
-            x = context * _doubled(_residual(self.sixteenth, self.to_sixteenth(x)))
-        else:  # nothing would read it
-            x = torch.zeros_like(eighth)
-        x = self.join_eighth(torch.cat([eighth, x], 1))
+            far = context * _doubled(_residual(self.sixteenth, self.to_sixteenth(x)))
+        x = self.join_eighth(torch.cat([eighth, far], 1))
         x = self.join_quarter(torch.cat([quarter, _doubled(x)], 1))
         return F.normalize(self.head(torch.cat([early, x], 1)), dim=1)
 
