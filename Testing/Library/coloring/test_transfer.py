@@ -73,10 +73,11 @@ class TestEveryWay:
 
     def test_kept_luminance_is_the_scans(self, smoother, gamma):
         given = arguments()
-        rgb, *_ = transfer(*given, TransferParameters(smoother, "keep", gamma))
+        rgb, _clipped, bent = transfer(*given, TransferParameters(smoother, "keep", gamma))
         inside = given[1]
-        error = np.abs(lightness_of(rgb) - gray_to_lightness(given[0].astype(np.float64)))[inside]
-        assert error.max() < 0.4  # the rounding of three bytes
+        change = (lightness_of(rgb) - gray_to_lightness(given[0].astype(np.float64)))[inside]
+        assert change.max() < 0.4  # the rounding of three bytes
+        assert np.count_nonzero(change < -0.9) <= bent < 0.1 * inside.sum(), "lower only where sRGB holds no such colour"
         black = inside & (given[0] == 0)
         assert black.any() and not rgb[black].any()
 
@@ -212,13 +213,19 @@ def test_guide_curve_is_for_the_regression_only():
         assert (with_curve != without).any() == (smoother == "regression")
 
 
-def test_colours_out_of_gamut_are_counted_and_keep_the_luminance():
+def test_lightness_gives_way_to_chroma_and_both_are_counted():
+    """Pure red on lights: sRGB holds no such colour at L* above 54."""
     grey, mask, _ = arguments()
     parameters = TransferParameters("regression", "keep", False)
-    rgb, clipped, _bent = transfer(grey, mask, match_of(matched_as((255, 0, 0)), grey, mask), parameters)
-    assert 0 < clipped <= mask.sum()
-    assert np.abs(lightness_of(rgb) - gray_to_lightness(grey.astype(np.float64)))[mask].max() < 0.4
-    assert transfer(grey.clip(0.1), mask, match_of(matched_as((120, 110, 100)), grey, mask), parameters)[1] == 0
+    rgb, clipped, bent = transfer(grey, mask, match_of(matched_as((255, 0, 0)), grey, mask), parameters)
+    assert 0 < clipped <= mask.sum() and 0 < bent <= mask.sum()
+    own, seen = gray_to_lightness(grey.astype(np.float64))[mask], lightness_of(rgb)[mask]
+    assert (seen < own + 0.4).all()
+    light = own > 60
+    assert srgb_to_lab(rgb)[mask][light][:, 1].min() > 60, "lights keep their red"
+    assert np.corrcoef(own[light], seen[light])[0, 1] > 0.8, "and their order"
+    assert transfer(grey.clip(0.1), mask, match_of(matched_as((120, 110, 100)), grey, mask), parameters)[1:] == (0, 0)
+
 
 
 @pytest.mark.parametrize("smoother", SMOOTHERS)
