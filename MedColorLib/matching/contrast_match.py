@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import adaptive_avg_pool2d
 
+from ..device import fast_dtype
 from .fields import exact
 from .fields.field import warp
 
@@ -63,7 +64,10 @@ def match(
     placed, placed2 = _with_position(a, position_weight), _with_position(b, position_weight)
     if groups is not None:
         placed, placed2 = (_with_groups(*side) for side in zip((placed, placed2), groups))
-    field, total, reverse, _ = exact.search(placed, placed2, PATCH_RADIUS, inside, inside2, keep_reverse)
+    kind = torch.float32 if groups is not None else fast_dtype(a.device)  # their weight leaves bfloat16 no digits
+    field, total, reverse, _ = exact.search(
+        placed.to(kind), placed2.to(kind), PATCH_RADIUS, inside, inside2, keep_reverse
+    )
     if groups is not None:
         similarity = (a * warp(b, field)).sum(1)
     else:
