@@ -80,7 +80,7 @@ def _add_colorize(commands) -> None:
 
 def _add_info(commands) -> None:
     command = commands.add_parser("info", help="the volumes in a file or folder: series, contrast, size, spacing")
-    command.add_argument("input", metavar="FOLDER_OR_FILE", help="anything that colorize reads")
+    command.add_argument("input", type=file_name, metavar="FOLDER_OR_FILE", help="anything that colorize reads")
     command.set_defaults(run="info")
 
 
@@ -113,7 +113,7 @@ def _add_settings(add: Callable, body_help: str) -> None:
         dest="reference_masks",
         metavar="FILE",
         help="picture of what is tissue in a reference (white, or not transparent), a folder of them for a folder; one for "
-        "each -r in their order, or the word auto (default: found, or the picture's own transparency)",
+        "each -r in their order, or the word auto (default: found, where the picture is not transparent)",
     )
     add(
         "--exposure",

@@ -264,6 +264,24 @@ class TestLargePictures:
             expected = [np.diff(e)[0] / s for e, s in zip((small.frame.rows, small.frame.cols), small.frame.shape)]
             np.testing.assert_allclose(sides, expected, atol=0.006)
 
+    def test_a_mask_is_drawn_on_the_picture_itself(self, large, tmp_path):
+        tissue = np.zeros(large.shape[:2], np.uint8)
+        tissue[800:2800, 1000:3000] = 255
+        cv2.imwrite(str(tmp_path / "mask.png"), tissue)
+        Image.fromarray(large).save(tmp_path / "large.png")
+        for item in (tmp_path / "large.png", large):
+            (found,) = load_references([item], masks=[str(tmp_path / "mask.png")])
+            assert found.mask.all() and min(found.mask.shape) >= 1023
+            assert np.abs(np.subtract((found.frame.rows, found.frame.cols), ((800, 2800), (1000, 3000)))).max() <= 2
+
+    def test_transparency_joins_what_is_found(self, tmp_path):
+        rgba = np.dstack([section(-0.4), np.full(section(-0.4).shape[:2], 255, np.uint8)])
+        rgba[:, : rgba.shape[1] // 2, 3] = 0
+        Image.fromarray(rgba).save(tmp_path / "half.png")
+        (whole,), (half,) = load_references([section(-0.4)]), load_references([tmp_path / "half.png"])
+        assert abs((1 - half.removed) / (1 - whole.removed) - 0.5) < 0.08
+        assert half.frame.cols[0] >= rgba.shape[1] // 2 - 1
+
     def test_labels_are_drawn_on_the_picture_itself(self, large, ct, tmp_path):
         from MedColorLib.matching.tissue_guard import Guard
 
