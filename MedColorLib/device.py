@@ -2,15 +2,28 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from .errors import DeviceError
+from .errors import DeviceError, MemoryTooSmall
 
 if TYPE_CHECKING:
     import torch
+
+
+# What RuntimeErrors say: torch on a CPU and on Apple's GPU, ITK, and any C++ library.
+_NO_MEMORY = (
+    "can't allocate memory",
+    "not enough memory",
+    "out of memory",
+    "Failed to allocate memory",
+    "bad allocation",
+    "bad_alloc",
+)
+_CV_NO_MEMORY = -4  # cv::Error::StsNoMem
 
 
 def fast_dtype(device: torch.device) -> torch.dtype:
@@ -64,16 +77,41 @@ def _set_threads(of_torch: int, of_opencv: int) -> None:
 
 @contextmanager
 def memory_errors(device: str) -> Iterator[None]:
-    """Turn torch's out-of-memory error into a DeviceError that says what to do."""
-    import torch
-
+    """Turn an out-of-memory error of any library into a MemoryTooSmall that says what to do."""
     try:
         yield
-    except torch.cuda.OutOfMemoryError as error:
-        torch.cuda.empty_cache()
-        raise DeviceError(
-            f"device {device}: its memory is too small; close other programs, use --preset draft or --device cpu"
-        ) from error
+    except MemoryTooSmall:
+        raise
+    except Exception as error:
+        if not is_out_of_memory(error):
+            raise
+        if device != "cpu" or _is_of_gpu(error):
+            _empty_cache()
+            remedy = "use --preset draft or --device cpu"
+        else:
+            remedy = "colour a part of the volume (--slices, --region), or use --preset draft"
+        raise MemoryTooSmall(f"device {device}: its memory is too small; close other programs, {remedy}") from error
+
+
+def is_out_of_memory(error: BaseException) -> bool:
+    """Whether an error of Python, NumPy, torch, OpenCV, ITK or the system says that there is no more memory."""
+    if isinstance(error, (MemoryError, MemoryTooSmall)) or _is_of_gpu(error):
+        return True
+    if isinstance(error, OSError):
+        return error.errno == errno.ENOMEM
+    if type(error).__module__.partition(".")[0] == "cv2":
+        return getattr(error, "code", None) == _CV_NO_MEMORY or "nsufficient memory" in str(error)
+    return isinstance(error, RuntimeError) and any(words in str(error) for words in _NO_MEMORY)
+
+
+def _is_of_gpu(error: BaseException) -> bool:
+    return type(error).__name__ == "OutOfMemoryError"  # torch's; asked without importing it
+
+
+def _empty_cache() -> None:
+    import torch
+
+    torch.cuda.empty_cache()
 
 
 def choose_device(name: str) -> str:

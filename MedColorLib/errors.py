@@ -27,6 +27,10 @@ class DeviceError(MedColorError):
     """A compute device that does not exist here, or whose memory is too small."""
 
 
+class MemoryTooSmall(DeviceError):
+    """The memory of a device, or of this machine, does not suffice."""
+
+
 class MissingPackageError(MedColorError):
     """An optional package is not installed; the message carries the install command."""
 

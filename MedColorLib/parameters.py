@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import math
+import operator
 import os
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from numbers import Real
 
@@ -135,34 +137,43 @@ class Settings:
     reference_masks: tuple[str | None, ...] | None = None
 
     def __post_init__(self) -> None:
+        given = {field.name: getattr(self, field.name) for field in fields(self)}
         _one_of("preset", self.preset, tuple(PRESETS))
         _one_of("features", self.features, FEATURES)
         _one_of("smoother", self.smoother, SMOOTHERS)
         _one_of("luminance", self.luminance, LUMINANCE)
         _one_of("plane", self.plane, ("transverse", "acquired"))
         _one_of("reconstruction", self.reconstruction, RECONSTRUCTIONS)
-        object.__setattr__(self, "body", _body(self.body))
+        _set(self, "body", _body(self.body))
+        if not isinstance(self.device, str) or not self.device:
+            raise SettingsError(f"device: expected a name such as auto, cpu or cuda, got {self.device!r}")
+        if self.gamma is not None and not isinstance(self.gamma, bool):
+            raise SettingsError(f"gamma: expected True, False or None (the preset's), got {self.gamma!r}")
+        if not isinstance(self.confidence, bool):
+            raise SettingsError(f"confidence: expected True or False, got {self.confidence!r}")
         if self.smoother_options is not None:
-            object.__setattr__(self, "smoother_options", _smoother_options(self))
+            _set(self, "smoother_options", _smoother_options(self))
         if self.window is not None:
-            object.__setattr__(self, "window", _window(self.window))
+            _set(self, "window", _window(self.window))
         if self.slices is not None:
-            object.__setattr__(self, "slices", _range(self.slices))
+            _set(self, "slices", _range(self.slices))
         if self.region is not None:
-            object.__setattr__(self, "region", _region(self.region))
+            _set(self, "region", _region(self.region))
         if isinstance(self.lightness, bool) or not isinstance(self.lightness, Real) or not 0 <= self.lightness <= 1:
             raise SettingsError(
                 f"lightness: expected a number from 0 (the scan's) to 1 (the reference's), got {self.lightness!r}"
             )
-        object.__setattr__(self, "exposure", _exposure(self.exposure))
+        _set(self, "exposure", _exposure(self.exposure))
         if self.reference_masks is not None:
-            object.__setattr__(self, "reference_masks", _masks(self.reference_masks))
-        if not (math.isfinite(self.coherence_mm) and 0 <= self.coherence_mm <= 1000):
-            raise SettingsError(f"coherence_mm: expected 0 to 1000 mm, got {self.coherence_mm!r}")
-        if not isinstance(self.seed, int) or not 0 <= self.seed < 2**63:
-            raise SettingsError(f"seed: expected a whole number from 0 to 2^63 - 1, got {self.seed!r}")
-        if not isinstance(self.batch, int) or self.batch < 1:
-            raise SettingsError(f"batch: expected a whole number of at least 1, got {self.batch!r}")
+            _set(self, "reference_masks", _masks(self.reference_masks))
+        _set(self, "coherence_mm", _number(self.coherence_mm))
+        if self.coherence_mm is None or not 0 <= self.coherence_mm <= 1000:
+            raise SettingsError(f"coherence_mm: expected 0 to 1000 mm, got {given['coherence_mm']!r}")
+        for name, highest, text in (("seed", 2**63 - 1, "from 0 to 2^63 - 1"), ("batch", math.inf, "of at least 1")):
+            value = _whole(given[name])
+            if value is None or not (name == "batch") <= value <= highest:
+                raise SettingsError(f"{name}: expected a whole number {text}, got {given[name]!r}")
+            _set(self, name, value)
 
     @property
     def resolved_smoother(self) -> str:
@@ -204,8 +215,10 @@ class Settings:
         Raises:
             SettingsError: an unknown key or a wrong value.
         """
+        if not isinstance(data, Mapping):
+            raise SettingsError(f"settings: expected names and values, got {type(data).__name__}")
         known = {field.name for field in fields(cls)}
-        unknown = sorted(set(data) - known)
+        unknown = sorted(str(name) for name in set(data) - known)
         if unknown:
             raise SettingsError(f"settings: unknown {', '.join(unknown)}; known are {', '.join(sorted(known))}")
         return replace(cls(), **data)
@@ -226,43 +239,78 @@ def _body(value) -> str | BodyMask:
     raise SettingsError(f"body: expected auto, all, or a label volume (path or array), got {value!r}")
 
 
+def _set(settings: Settings, name: str, value: object) -> None:
+    object.__setattr__(settings, name, value)  # it is frozen for everybody else
+
+
 def _one_of(name: str, value: object, allowed: tuple[str, ...]) -> None:
-    if value not in allowed:
+    if not isinstance(value, str) or value not in allowed:
         raise SettingsError(f"{name}: {value!r} is not one of {', '.join(allowed)}")
+
+
+def _whole(value: object) -> int | None:
+    """A whole number of any kind, also NumPy's, as int; None for anything else, True and 2.0 among it."""
+    try:
+        return None if isinstance(value, bool) else operator.index(value)
+    except TypeError:
+        return None
+
+
+def _number(value: object) -> float | None:
+    """A finite number of any kind as float (an int stays one); None for anything else, text among it."""
+    if isinstance(value, (bool, str, bytes)):
+        return None
+    try:
+        return value if isinstance(value, int) else float(value) if math.isfinite(value) else None
+    except (TypeError, ValueError, OverflowError):
+        return None
 
 
 def _smoother_options(settings: Settings) -> dict | None:
     from .filters import smoother_parameters  # NumPy; not needed where the defaults do
 
-    checked = smoother_parameters(settings.resolved_smoother, settings.smoother_options)
-    return {name: getattr(checked, name) for name in settings.smoother_options} or None
+    options = settings.smoother_options
+    if not isinstance(options, Mapping) or not all(isinstance(name, str) for name in options):
+        raise SettingsError(f"smoother_options: expected names and values such as {{'lam': 16.0}}, got {options!r}")
+    checked = smoother_parameters(settings.resolved_smoother, dict(options))
+    return {name: getattr(checked, name) for name in options} or None
+
+
+def _listed(value: object) -> list:
+    """The members of a sequence; of text or anything that is none, an empty list."""
+    if isinstance(value, (str, bytes, Mapping)):
+        return []
+    try:
+        return list(value)
+    except TypeError:
+        return []
 
 
 def _window(value) -> tuple[float, float]:
-    try:
-        low, high = (float(v) for v in value)
-    except (TypeError, ValueError) as error:
-        raise SettingsError(f"window: expected two numbers LO HI, got {value!r}") from error
-    if not (math.isfinite(low) and math.isfinite(high) and low < high):
-        raise SettingsError(f"window: expected finite LO < HI, got {low:g} {high:g}")
-    return low, high
+    ends = _listed(value)
+    if len(ends) != 2 or any(isinstance(end, (bool, str, bytes)) or not hasattr(end, "__float__") for end in ends):
+        raise SettingsError(f"window: expected two numbers LO HI, got {value!r}")
+    low, high = (_number(end) for end in ends)
+    if low is None or high is None or not low < high:
+        said = " ".join(f"{end:g}" if isinstance(end, float) else str(end) for end in ends)
+        raise SettingsError(f"window: expected finite LO < HI, got {said}")
+    return float(low), float(high)
 
 
 def _region(value) -> tuple:
-    try:
-        ranges = tuple((int(start), int(stop)) for start, stop in value)
-    except (TypeError, ValueError) as error:
-        raise SettingsError(f"region: expected ((k0, k1), (j0, j1), (i0, i1)), got {value!r}") from error
-    if len(ranges) != 3 or any(not 0 <= start < stop for start, stop in ranges):
+    ranges = tuple(tuple(_whole(v) for v in _listed(ends)) for ends in _listed(value))
+    if len(ranges) != 3 or any(len(ends) != 2 or None in ends for ends in ranges):
+        raise SettingsError(f"region: expected ((k0, k1), (j0, j1), (i0, i1)) in whole numbers, got {value!r}")
+    if any(not 0 <= start < stop for start, stop in ranges):
         raise SettingsError(f"region: expected three ranges with 0 <= START < STOP, got {ranges}")
     return ranges
 
 
 def _range(value) -> tuple[int, int]:
-    try:
-        start, stop = (int(v) for v in value)
-    except (TypeError, ValueError) as error:
-        raise SettingsError(f"slices: expected START and STOP, got {value!r}") from error
+    ends = [_whole(v) for v in _listed(value)]
+    if len(ends) != 2 or None in ends:
+        raise SettingsError(f"slices: expected START and STOP in whole numbers, got {value!r}")
+    start, stop = ends
     if not 0 <= start < stop:
         raise SettingsError(f"slices: expected 0 <= START < STOP, got {start}:{stop}")
     return start, stop

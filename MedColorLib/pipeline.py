@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .device import memory_errors
-from .errors import DeviceError
+from .errors import MemoryTooSmall
 from .parameters import Settings
 from .plan import LeftOut, Plan
 from .progress import Progress, Run
@@ -75,16 +75,22 @@ def colorize(
         The colours are an illustration, not a measurement.
 
     Raises:
-        InputError, SettingsError, WeightsError, DeviceError: with the remedy in the message.
+        InputError, SettingsError, WeightsError, DeviceError (MemoryTooSmall is one): with the remedy in the message.
         Cancelled: nothing was written.
     """
+    with memory_errors("cpu"):  # outside of the batches, which are made smaller
+        return _colorize(volume, references, settings or Settings(), Run(progress, cancelled), resume, guard)
+
+
+def _colorize(
+    volume: Volume, references: Sequence, settings: Settings, run: Run, resume: bool | str | Resume, guard: Guard | None
+) -> ColorVolume:
     from .run.engine import Engine
     from .run.resume import open_store
 
-    run = Run(progress, cancelled)
     with run.timed("prepare"):
         run.step(0.0, "preparing")
-        prepared = prepare(volume, references, settings or Settings(), guard=guard)
+        prepared = prepare(volume, references, settings, guard=guard)
         store = open_store(prepared, resume)
     for text in prepared.groups.unguarded(prepared.references) if prepared.groups else ():
         log.warning("tissue guard: %s", text)
@@ -185,7 +191,7 @@ def _color_batches(prepared: Prepared, engine: Engine, painter: Painter, run: Ru
         try:
             with memory_errors(engine.device):
                 matches = engine.match(ks, engine.choice[ks[0]]) if ks[0] not in prepared.repeats else None
-        except DeviceError:
+        except MemoryTooSmall:
             if batch == 1:
                 raise
             batch = max(1, batch // 2)

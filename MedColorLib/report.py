@@ -13,20 +13,11 @@ from pathlib import Path
 import numpy as np
 
 from .errors import OutputError
+from .output import followed
 
 _PACKAGES = (
-    *(
-        "medcolor",
-        "torch",
-        "numpy",
-        "scipy",
-        "opencv-contrib-python-headless",
-        "SimpleITK",
-        "pydicom",
-        "tifffile",
-        "vtk",
-    ),
-    "safetensors",
+    *("medcolor", "torch", "numpy", "scipy", "opencv-contrib-python-headless", "pillow", "SimpleITK", "pydicom"),
+    *("tifffile", "vtk", "safetensors"),
 )
 
 
@@ -72,7 +63,7 @@ def write_report(report: dict, path: str | Path) -> None:
     Raises:
         OutputError: the folder is missing or cannot be written.
     """
-    path = Path(path)
+    path = followed(path)
     temporary = path.with_name(f".{secrets.token_hex(4)}-{path.name}.part")  # several may write the same one
     try:
         temporary.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")

@@ -24,7 +24,7 @@ from MedColorLib.errors import MissingPackageError
 
 REQUESTER = "MedColor"
 _REQUIREMENTS = os.path.join(os.path.dirname(os.path.dirname(__file__)), "Resources", "requirements.txt")
-_MODULE_OF = {"opencv-contrib-python-headless": "cv2"}  # elsewhere package and module have one name
+_MODULE_OF = {"opencv-contrib-python-headless": "cv2", "pillow": "PIL"}  # elsewhere package and module have one name
 
 
 class NotInstalled(MissingPackageError):  # a user's decision as often as an error

@@ -8,8 +8,6 @@ import slicer
 import vtk
 from slicer.i18n import tr as _
 
-PICTURE_ENDINGS = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp")
-
 
 def pictures_in(path: str) -> list[str]:
     """Picture files that a path stands for: the file itself, or the pictures in a folder in order of their names.
@@ -18,6 +16,7 @@ def pictures_in(path: str) -> list[str]:
         MedColorLib.errors.InputError: nothing there, not readable, or no pictures in the folder.
     """
     from MedColorLib.errors import InputError
+    from MedColorLib.references.pictures import PICTURE_SUFFIXES
 
     if os.path.isfile(path):
         return [path]
@@ -31,7 +30,8 @@ def pictures_in(path: str) -> list[str]:
                 path=path, reason=error.strerror
             )
         ) from error
-    found = [os.path.join(path, name) for name in names if name.lower().endswith(PICTURE_ENDINGS)]
+    pictures = [name for name in names if name.lower().endswith(PICTURE_SUFFIXES) and not name.startswith(".")]
+    found = [os.path.join(path, name) for name in pictures]
     if not found:
         raise InputError(
             _("The folder {path} holds no pictures; put PNG, JPEG or TIFF photographs into it.").format(path=path)
@@ -71,13 +71,17 @@ def picture_from_node(node, input_node=None):
 
 
 def references_from(references, input_node=None) -> list:
-    """What the library takes: picture files and (H, W, 3) arrays, from nodes, node IDs, paths, folders and arrays."""
+    """What the library takes: paths and (H, W, 3) arrays, from nodes, node IDs, paths, folders and arrays.
+
+    A folder stays one, so that the library may leave out a picture of it that cannot be used, and say so.
+    """
     if isinstance(references, (str, os.PathLike)) or not isinstance(references, (list, tuple)):
         references = [references]
     result: list = []
     for reference in references:
         if isinstance(reference, (str, os.PathLike)):
-            result.extend(pictures_in(os.fspath(reference)))
+            path = os.fspath(reference)
+            result += [path] if pictures_in(path) else []
         elif reference is None or hasattr(reference, "IsA"):
             result.append(picture_from_node(reference, input_node))
         else:

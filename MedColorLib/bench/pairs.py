@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from ..color.lab import lightness_to_gray, srgb_to_lab
-from ..references.photograph import Reference, prepare_reference, read_picture
+from ..references.photograph import Reference, prepare_reference
+from ..references.pictures import read_picture
 from ..scan.grid import choose_grid, continue_outwards, to_grid
 from ..volume import Volume
 

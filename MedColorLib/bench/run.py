@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import platform
+import secrets
 import time
 from collections.abc import Callable, Sequence
 from importlib import import_module
@@ -11,6 +12,7 @@ from pathlib import Path
 
 from .. import __version__
 from ..errors import InputError, MissingPackageError, OutputError, SettingsError
+from ..output import followed
 from ..progress import Progress
 from .pairs import Section, load_sections
 from .tables import Suite
@@ -55,11 +57,13 @@ def run_bench(
 
     Raises:
         InputError: `data` holds none of the pictures.
-        SettingsError: a suite that does not exist, or suites beside `stability`.
+        SettingsError: a seed below 0, a suite that does not exist, or suites beside `stability`.
         OutputError: the folder cannot be written.
         MissingPackageError: matplotlib is not installed.
     """
     _require_matplotlib()
+    if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed < 2**63:
+        raise SettingsError(f"bench: expected a seed from 0 to 2^63 - 1, got {seed!r}")
     chosen = _chosen(suites, quick, stability)
     folder = _folder(Path(folder))
     progress = progress or (lambda _fraction, _text: None)
@@ -218,7 +222,8 @@ def _write(
 
 
 def _write_file(path: Path, content: bytes) -> Path:
-    temporary = path.with_name(f".{path.name}.part")
+    path = followed(path)
+    temporary = path.with_name(f".{secrets.token_hex(4)}-{path.name}.part")
     try:
         temporary.write_bytes(content)
         os.replace(temporary, path)

@@ -6,6 +6,8 @@ from pathlib import Path
 
 from ..errors import OutputError
 
+FILES = ("reference.png", "colored.nrrd", "report.json", "picture.png")
+
 
 def run_demo(folder: str | Path, progress=None) -> list[Path]:
     """Colour the phantom with the embedded features, write volume, report and pictures into `folder`.
@@ -31,7 +33,7 @@ def run_demo(folder: str | Path, progress=None) -> list[Path]:
     except OSError as error:
         raise OutputError(f"demo folder {folder}: cannot be made ({error.strerror})") from error
     volume, reference = sample()
-    paths = [folder / name for name in ("reference.png", "colored.nrrd", "report.json", "picture.png")]
+    paths = [folder / name for name in FILES]
     write_png(paths[0], reference)
     scaled = (lambda fraction, text: progress(0.7 * fraction, text)) if progress else None
     result = colorize(volume, [reference], Settings(features="embedded"), progress=scaled)

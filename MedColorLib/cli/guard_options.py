@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import SettingsError
+from .values import file_name
 
 if TYPE_CHECKING:
     from ..matching.tissue_guard import Guard
@@ -15,10 +16,16 @@ if TYPE_CHECKING:
 
 def add_guard(add: Callable) -> None:
     """The options of the tissue guard; a batch has none, since every volume needs labels of its own."""
-    add("--labels", metavar="SEG", help="label volume on the input's grid; colour does not cross from label to label")
+    add(
+        "--labels",
+        type=file_name,
+        metavar="SEG",
+        help="label volume on the input's grid; colour does not cross from label to label",
+    )
     add(
         "--reference-labels",
         action="append",
+        type=file_name,
         metavar="PNG",
         help="the same labels drawn on the reference (grey or palette PNG); one for each -r, in order, '-' for none",
     )

@@ -1,7 +1,8 @@
 """The command line `medcolor`: parse, call the library, one clear line for what went wrong.
 
-Exit status: 0 done, 1 some volumes of a batch failed (its table says which and why), 2 bad input or arguments, 130
-interrupted. Nothing half-written is left in any case.
+Exit status: 0 done, 1 some volumes of a batch failed (its table says which and why), 2 bad input or arguments or too little
+memory, 130 interrupted (143 by SIGTERM, 129 by SIGHUP). Nothing half-written is left in any case. As with ITK, FSL and ANTs, a
+result replaces an earlier file of its name, and it is said; a link is followed to its file.
 """
 
 from __future__ import annotations
@@ -9,16 +10,21 @@ from __future__ import annotations
 import logging
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from ..device import is_out_of_memory
 from ..errors import Cancelled, MedColorError
+from ..output import check_output_path
 from ..parameters import Settings
+from ..terminal import plain, prepare_streams, say, tell
 from .guard_options import guard_of
 from .options import make_parser
+from .stopping import Stopped, stoppable
 
 INTERRUPTED = "interrupted; nothing was written"
+OUT_OF_MEMORY = "the memory of this machine is too small; close other programs, or take a smaller volume or picture"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -29,17 +35,23 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = make_parser().parse_args(argv)
     # Threads that wait give their core away: the pipeline's tests took 16 s instead of 52 s beside other programs.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
-    logging.basicConfig(level=logging.DEBUG if arguments.verbose else logging.WARNING, format="medcolor: %(message)s")
+    prepare_streams(logging.DEBUG if arguments.verbose else logging.WARNING)
     try:
-        return _RUN[arguments.run](arguments) or 0
+        with stoppable():
+            return _RUN[arguments.run](arguments) or 0
     except MedColorError as error:
-        print(f"medcolor: {error}", file=sys.stderr)
+        tell(error)
         return 2
-    except (KeyboardInterrupt, Cancelled):
-        print(f"medcolor: {getattr(arguments, 'interrupted', INTERRUPTED)}", file=sys.stderr)
-        return 130
+    except (KeyboardInterrupt, Cancelled) as error:
+        tell(getattr(arguments, "interrupted", INTERRUPTED))
+        return 128 + error.number if isinstance(error, Stopped) else 130
     except BrokenPipeError:  # the reader of our output went away, as `| head` does
         return 0
+    except Exception as error:
+        if not is_out_of_memory(error):
+            raise
+        tell(OUT_OF_MEMORY)
+        return 2
 
 
 def _settings(arguments) -> Settings:
@@ -76,15 +88,14 @@ def _resume_bytes(arguments) -> int:
 
 
 def _colorize(arguments) -> None:
-    from ..io.files import check_output_path, file_sha256, read_volume, write_color_volume, write_confidence
+    from ..io.files import file_sha256, read_volume, write_color_volume, write_confidence
     from ..pipeline import colorize
     from ..report import write_report
     from ..run.resume import Resume, forget_run
 
     settings = replace(_settings(arguments), confidence=arguments.confidence is not None)
     resume = Resume(max_bytes=_resume_bytes(arguments)) if arguments.resume else False
-    if not arguments.plan:
-        _check_outputs(arguments, check_output_path)
+    former = [] if arguments.plan else _check_outputs(arguments)
     volume, guard = read_volume(arguments.input, volume=arguments.number), guard_of(arguments)
     _say_notes(volume)
     if arguments.plan:
@@ -101,13 +112,14 @@ def _colorize(arguments) -> None:
     if arguments.report:
         write_report(result.report, arguments.report)
     forget_run(result.report, resume)
+    _tell_replaced(former)
     for credit in sorted({r["credit"] for r in result.report["references"] if r["credit"]}):
-        print(f"References: {credit}.")
+        say(f"References: {credit}.")
     seconds = result.report["seconds"]["total"]
     resumed = result.report["resumed_slices"]
     if resumed:
-        print(f"{resumed} slices were matched in an interrupted run before and were taken from there.")
-    print(
+        say(f"{resumed} slices were matched in an interrupted run before and were taken from there.")
+    say(
         f"{arguments.output}: {len(result.report['plan']['slices'])} slices with {result.report['plan']['features']} "
         f"features in {seconds:.1f} s. The colours are an illustration, not a measurement."
     )
@@ -116,7 +128,7 @@ def _colorize(arguments) -> None:
 def _say_notes(volume) -> None:
     """What the reader decided."""
     for note in volume.notes:
-        print(f"medcolor: {volume.name}: {note}", file=sys.stderr)
+        tell(f"{volume.name}: {note}")
 
 
 def _info(arguments) -> None:
@@ -130,11 +142,11 @@ def _info(arguments) -> None:
         rows.append((str(number), size, spacing or "not known", choice.label))
     widths = [max(map(len, column)) for column in zip(*rows)]
     for row in rows:
-        print("  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths)).rstrip())
+        say("  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths)).rstrip())
     for note in notes:
-        print(note)
+        say(note)
     if len(choices) > 1:
-        print("Number 1 is read unless --volume N says otherwise.")
+        say("Number 1 is read unless --volume N says otherwise.")
 
 
 def _batch(arguments) -> int:
@@ -144,9 +156,9 @@ def _batch(arguments) -> int:
     where = {"workers": arguments.workers, "scheduler": arguments.scheduler, "resume_bytes": resume_bytes}
     with _Bar("batch") as bar:
         result = run_batch(arguments.input, arguments.reference, arguments.output, settings, **where, progress=bar)
-    print(result.text())
+    say(result.text())
     count = len(result.outcomes)
-    print(f"{count - result.failed} of {count} volumes are finished; see {arguments.output / SUMMARY}")
+    say(f"{count - result.failed} of {count} volumes are finished; see {arguments.output / SUMMARY}")
     return 1 if result.failed else 0
 
 
@@ -154,27 +166,62 @@ def _print_plan(volume, references, settings, resume, guard) -> None:
     from ..pipeline import make_plan
     from ..run.estimate import estimate
 
-    print(make_plan(volume, references, settings, resume, guard).text())
+    say(make_plan(volume, references, settings, resume, guard).text())
     expected = estimate(volume, references, settings, guard)
-    print(f"Time on this machine: {expected.text()}")
-    print(f"Colour error to expect: {expected.error_text()}")
+    say(f"Time on this machine: {expected.text()}")
+    say(f"Colour error to expect: {expected.error_text()}")
 
 
-def _check_outputs(arguments, check_output_path: Callable) -> None:
+def _check_outputs(arguments) -> list[Path]:
+    """Refuse what cannot be written or would replace what is read; returns the files that will be replaced."""
     from ..errors import SettingsError
 
     if not arguments.output:
         raise SettingsError("colorize: name the result with -o OUT.nrrd (or use --plan)")
-    taken = {Path(arguments.input).resolve(): "the input"}
-    for path, role in ((arguments.output, "the result"), (arguments.confidence, "the confidence")):
+    taken = {_identity(path): role for path, role in _inputs(arguments)}
+    outputs = (
+        (arguments.output, "the result"),
+        (arguments.confidence, "the confidence"),
+        (arguments.report, "the report"),
+    )
+    for path, role in outputs:
         if not path:
             continue
-        check_output_path(path)
-        former = taken.setdefault(Path(path).resolve(), role)
+        check_output_path(path, *([(".json",)] if role == "the report" else []))
+        former = taken.setdefault(_identity(path), role)
         if former != role:
             raise SettingsError(f"colorize: {path} is {former}; {role} would replace it, name another file")
-    if arguments.report:
-        check_output_path(arguments.report, (".json",))
+    return existing(path for path, _ in outputs if path)
+
+
+def _inputs(arguments) -> list[tuple[str, str]]:
+    """Files that are read, and what they are; a library's name is none, and does no harm."""
+    pictures = [path for path in arguments.reference_labels or () if path != "-"]
+    return [
+        (arguments.input, "the input"),
+        *((path, "a reference") for path in arguments.reference),
+        *((path, "the label volume") for path in [arguments.labels] if path),
+        *((path, "a label picture") for path in pictures),
+    ]
+
+
+def _identity(path: str | Path) -> tuple:
+    """The same for all names of one file: links are followed, and hard links are one."""
+    try:
+        state = os.stat(path)
+    except OSError:
+        return (os.path.realpath(path),)
+    return (state.st_dev, state.st_ino) if state.st_ino else (os.path.realpath(path),)
+
+
+def existing(paths: Iterable[str | Path]) -> list[Path]:
+    """Those of the paths where a file is now."""
+    return [Path(path) for path in paths if Path(path).is_file()]
+
+
+def _tell_replaced(paths: Iterable[Path]) -> None:
+    for path in paths:
+        tell(f"{path}: the earlier file of this name was replaced")
 
 
 def _render(arguments) -> None:
@@ -188,8 +235,10 @@ def _render(arguments) -> None:
     if arguments.beside:
         left = read_color_volume(arguments.beside)
     titles = tuple(arguments.titles or ("Other" if arguments.beside else "Scan", "Coloured"))
+    former = existing([arguments.output])
     render_to_png(arguments.output, color, left, size=tuple(arguments.size), titles=titles)
-    print(arguments.output)
+    _tell_replaced(former)
+    say(arguments.output)
 
 
 def _recommend(arguments) -> None:
@@ -202,18 +251,18 @@ def _recommend(arguments) -> None:
     with _Bar("describing") as bar:
         found = recommend(volume, arguments.library, arguments.top, arguments.slice, progress=bar, **options)
     for path, score in found:
-        print(f"{score:.3f} {path}")
+        say(f"{score:.3f} {path}")
 
 
 def _library_fetch(arguments) -> None:
     from ..references.visible_human import SOURCES, fetch_library, list_photographs, missing_photographs
 
     source = SOURCES[arguments.name]
-    print(f"{source.title}: {source.credit} ({source.licence})")
+    say(f"{source.title}: {source.credit} ({source.licence})")
     photographs = list_photographs(arguments.name, arguments.step, arguments.part, arguments.url)
     missing = missing_photographs(arguments.name, photographs)
     megabytes = sum(photograph.size for photograph in missing) / 1e6
-    print(
+    say(
         f"{len(photographs)} photographs, one every {arguments.step} mm; {len(missing)} to fetch, {megabytes:.1f} MB; "
         "each is prepared at once and only the prepared picture is kept"
     )
@@ -245,7 +294,7 @@ def _library_add(arguments) -> None:
 def _print_library(name: str, index: dict) -> None:
     left_out = f", {len(index['left_out'])} left out" if index["left_out"] else ""
     credit = f". {index['credit']}" if index["credit"] else ""
-    print(f"library {name}: {len(index['pictures'])} references{left_out}{credit}")
+    say(f"library {name}: {len(index['pictures'])} references{left_out}{credit}")
 
 
 def _library_list(_arguments) -> None:
@@ -254,15 +303,15 @@ def _library_list(_arguments) -> None:
     for row in list_libraries():
         state = "" if row["complete"] else ", not complete: run the command that made it again"
         credit = f". {row['credit']}" if row["credit"] else ""
-        print(f"{row['name']:<20} {row['pictures']} references, {row['bytes'] / 1e6:.1f} MB{state}{credit}")
-    print(f"folder {libraries_folder()}")
+        say(f"{row['name']:<20} {row['pictures']} references, {row['bytes'] / 1e6:.1f} MB{state}{credit}")
+    say(f"folder {libraries_folder()}")
 
 
 def _library_remove(arguments) -> None:
     from ..references.library import remove_library
 
     remove_library(arguments.name)
-    print(f"library {arguments.name}: removed")
+    say(f"library {arguments.name}: removed")
 
 
 def _weights_status(_arguments) -> None:
@@ -270,8 +319,8 @@ def _weights_status(_arguments) -> None:
 
     for row in weights_status():
         state = f"present: {row['path']}" if row["present"] else row["problem"] or "not here"
-        print(f"{row['network']:<12} {state}")
-    print(f"cache folder {cache_folder()}; MEDCOLOR_WEIGHTS names another file or folder")
+        say(f"{row['network']:<12} {state}")
+    say(f"cache folder {cache_folder()}; MEDCOLOR_WEIGHTS names another file or folder")
 
 
 def _weights_fetch(arguments) -> None:
@@ -279,16 +328,18 @@ def _weights_fetch(arguments) -> None:
 
     with _Bar(arguments.network) as bar:
         path = fetch_weights(arguments.network, progress=lambda got, total: bar(got / max(total, 1), "downloading"))
-    print(path)
+    say(path)
 
 
 def _demo(arguments) -> None:
-    from .demo import run_demo
+    from .demo import FILES, run_demo
 
+    former = set(existing(arguments.output / name for name in FILES))
     with _Bar("demo") as bar:
         written = run_demo(arguments.output, progress=bar)
+    _tell_replaced(path for path in written if path in former)
     for path in written:
-        print(path)
+        say(path)
 
 
 def _bench(arguments) -> None:
@@ -296,10 +347,12 @@ def _bench(arguments) -> None:
 
     options = {name: getattr(arguments, name) for name in ("quick", "stability", "data", "seed")}
     options["suites"] = None if arguments.suites is None else arguments.suites.split(",")
+    former = set(arguments.output.iterdir()) if arguments.output.is_dir() else set()
     with _Bar("bench") as bar:
         written = run_bench(arguments.output, **options, progress=bar)
+    _tell_replaced(path for path in written if path in former)
     for path in written:
-        print(path)
+        say(path)
 
 
 class _Bar:
@@ -316,7 +369,7 @@ class _Bar:
         return self
 
     def __call__(self, fraction: float, text: str) -> None:
-        self._bar.set_postfix_str(text, refresh=False)
+        self._bar.set_postfix_str(plain(text), refresh=False)
         self._bar.update(fraction - self._bar.n)
 
     def __exit__(self, *_exception) -> None:

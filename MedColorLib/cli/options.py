@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import argparse
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import NoReturn
 
 from .. import __version__
 from ..parameters import FEATURES, LUMINANCE, PRESETS, RECONSTRUCTIONS, SMOOTHERS, Settings
+from ..terminal import plain
 from .guard_options import add_guard
+from .values import at_least, exposure, file_name, named_value, path_name, slice_range
 
 _WHICH = "which of several volumes (series, contrasts, time points), as `medcolor info` counts (default: the largest)"
 _KEPT = "interrupted; what is done is kept, the same command goes on from there"
@@ -18,8 +21,13 @@ _KEPT = "interrupted; what is done is kept, the same command goes on from there"
 class _Parser(argparse.ArgumentParser):
     """Wrong arguments are told in one line, like any other bad input; the usage is in --help."""
 
+    def __init__(self, *arguments, **options) -> None:
+        super().__init__(*arguments, **options)
+        # As in Python 3.14: what begins like a negative number is one, also -1e3; no option of ours looks like that.
+        self._negative_number_matcher = re.compile(r"-\.?\d")
+
     def error(self, message: str) -> NoReturn:
-        self.exit(2, f"{self.prog}: {message}; see {self.prog} --help\n")
+        self.exit(2, plain(f"{self.prog}: {message}; see {self.prog} --help\n"))
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -39,7 +47,7 @@ def make_parser() -> argparse.ArgumentParser:
     _add_library(commands)
     _add_weights(commands)
     demo = commands.add_parser("demo", help="colour and render a sample made by formula: needs no download")
-    demo.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help="folder for the results")
+    demo.add_argument("-o", "--output", type=path_name, required=True, metavar="DIR", help="folder for the results")
     demo.set_defaults(run="demo")
     _add_bench(commands)
     return parser
@@ -48,8 +56,9 @@ def make_parser() -> argparse.ArgumentParser:
 def _add_colorize(commands) -> None:
     command = commands.add_parser("colorize", help="colour a volume")
     add = command.add_argument
-    add("input", metavar="INPUT", help="NRRD, MetaImage, NIfTI, DICOM folder, or folder of PNG/TIFF slices")
-    add("-o", "--output", metavar="OUT", help="result: .nrrd or .nii.gz (not needed with --plan)")
+    text = "NRRD, MetaImage, NIfTI, DICOM folder, or folder of PNG/TIFF slices"
+    add("input", type=file_name, metavar="INPUT", help=text)
+    add("-o", "--output", type=file_name, metavar="OUT", help="result: .nrrd or .nii.gz (not needed with --plan)")
     add("--volume", dest="number", type=int, metavar="N", help=_WHICH)
     _add_settings(add, "where the body is: found (default), all of the picture, or a label volume on the input's grid")
     add(
@@ -58,25 +67,28 @@ def _add_colorize(commands) -> None:
         help="keep what is matched until the end; go on where the same run was broken off",
     )
     add("--plan", action="store_true", help="print what would be done and left out, and stop")
-    add("--report", type=Path, metavar="F.json", help="write settings, plan, seconds, memory and hashes")
+    add("--report", type=path_name, metavar="F.json", help="write settings, plan, seconds, memory and hashes")
     add_guard(add)
     add(
-        "--confidence", type=Path, metavar="OUT2", help="write how far colours can be trusted, in per cent, as a volume"
+        "--confidence",
+        type=path_name,
+        metavar="OUT2",
+        help="write how far colours can be trusted, in per cent, as a volume",
     )
     command.set_defaults(run="colorize")
 
 
 def _add_info(commands) -> None:
     command = commands.add_parser("info", help="the volumes in a file or folder: series, contrast, size, spacing")
-    command.add_argument("input", metavar="FOLDER_OR_FILE", help="anything that colorize reads")
+    command.add_argument("input", type=file_name, metavar="FOLDER_OR_FILE", help="anything that colorize reads")
     command.set_defaults(run="info")
 
 
 def _add_batch(commands) -> None:
     command = commands.add_parser("batch", help="colour every volume of a folder; finished ones are not done again")
     add = command.add_argument
-    add("input", type=Path, metavar="IN_FOLDER", help="folder with volume files and DICOM folders, at any depth")
-    add("-o", "--output", type=Path, required=True, metavar="OUT_FOLDER", help="results, reports and batch.json")
+    add("input", type=path_name, metavar="IN_FOLDER", help="folder with volume files and DICOM folders, at any depth")
+    add("-o", "--output", type=path_name, required=True, metavar="OUT_FOLDER", help="results, reports and batch.json")
     _add_settings(add, "where the body is: found (default) or all of the picture")
     where = command.add_mutually_exclusive_group()
     where.add_argument("--workers", type=int, default=1, metavar="N", help="processes (default: %(default)s)")
@@ -90,6 +102,7 @@ def _add_settings(add: Callable, body_help: str) -> None:
         "-r",
         "--reference",
         action="append",
+        type=file_name,
         required=True,
         metavar="REF",
         help="colour picture, folder of them, colour volume, or a library's name; may be repeated",
@@ -100,11 +113,11 @@ def _add_settings(add: Callable, body_help: str) -> None:
         dest="reference_masks",
         metavar="FILE",
         help="picture of what is tissue in a reference (white, or not transparent), a folder of them for a folder; one for "
-        "each -r in their order, or the word auto (default: found, or the picture's own transparency)",
+        "each -r in their order, or the word auto (default: found, where the picture is not transparent)",
     )
     add(
         "--exposure",
-        type=_exposure,
+        type=exposure,
         default="auto",
         metavar="auto|off|GAIN",
         help="brightness and white balance of references: brought to the usual, left, or this gain (default: %(default)s)",
@@ -120,7 +133,7 @@ def _add_settings(add: Callable, body_help: str) -> None:
     add(
         "--smoother-option",
         action="append",
-        type=_named_value,
+        type=named_value,
         metavar="NAME=VALUE",
         help="parameter of the smoother, such as lam=16; may be repeated (a wrong name lists the right ones)",
     )
@@ -150,8 +163,8 @@ def _add_settings(add: Callable, body_help: str) -> None:
         help="features one layer down (default: %(default)s)",
     )
     add("--window", nargs=2, type=float, metavar=("LO", "HI"), help="values shown black and white")
-    add("--body", default="auto", metavar="BODY", help=body_help)
-    add("--slices", type=_slice_range, metavar="A:B", help="transverse slices from A up to B, counted from the feet")
+    add("--body", type=file_name, default="auto", metavar="BODY", help=body_help)
+    add("--slices", type=slice_range, metavar="A:B", help="transverse slices from A up to B, counted from the feet")
     add("--region", nargs=6, type=int, metavar=("K0", "K1", "J0", "J1", "I0", "I1"), help="voxels to colour")
     add(
         "--coherence",
@@ -179,12 +192,13 @@ def _add_settings(add: Callable, body_help: str) -> None:
 
 def _add_render(commands) -> None:
     command = commands.add_parser("render", help="picture of a coloured volume: views and sections")
-    command.add_argument("volume", metavar="VOLUME", help="RGB volume as written by colorize")
-    command.add_argument("-o", "--output", type=Path, required=True, metavar="PNG")
+    command.add_argument("volume", type=file_name, metavar="VOLUME", help="RGB volume as written by colorize")
+    command.add_argument("-o", "--output", type=path_name, required=True, metavar="PNG")
     left = command.add_mutually_exclusive_group()
-    left.add_argument("--grey", metavar="INPUT", help="the grey volume, to stand beside the colours")
+    left.add_argument("--grey", type=file_name, metavar="INPUT", help="the grey volume, to stand beside the colours")
     command.add_argument("--volume", dest="number", type=int, metavar="N", help=f"of --grey: {_WHICH}")
-    left.add_argument("--beside", metavar="VOLUME2", help="another coloured volume, to stand there instead")
+    text = "another coloured volume, to stand there instead"
+    left.add_argument("--beside", type=file_name, metavar="VOLUME2", help=text)
     command.add_argument("--titles", nargs=2, metavar=("LEFT", "RIGHT"), help="above the two halves")
     command.add_argument("--size", nargs=2, type=int, default=(1600, 1200), metavar=("W", "H"))
     command.set_defaults(run="render")
@@ -192,11 +206,13 @@ def _add_render(commands) -> None:
 
 def _add_recommend(commands) -> None:
     command = commands.add_parser("recommend", help="references of a library that look most like a volume")
-    command.add_argument("input", metavar="INPUT", help="the grey volume")
+    command.add_argument("input", type=file_name, metavar="INPUT", help="the grey volume")
     command.add_argument("--volume", dest="number", type=int, metavar="N", help=_WHICH)
     library = "folder of colour pictures, or a library's name"
-    command.add_argument("--library", required=True, metavar="DIR", help=library)
-    command.add_argument("--top", type=int, default=3, metavar="N", help="how many to name (default: %(default)s)")
+    command.add_argument("--library", type=file_name, required=True, metavar="DIR", help=library)
+    command.add_argument(
+        "--top", type=at_least(1), default=3, metavar="N", help="how many to name (default: %(default)s)"
+    )
     command.add_argument("--slice", type=int, metavar="K", help="one transverse slice, counted from the feet")
     command.add_argument("--features", choices=FEATURES, default="auto")
     command.add_argument("--device", default="auto")
@@ -214,7 +230,7 @@ def _add_library(commands) -> None:
     fetch.add_argument("-y", "--yes", action="store_true", help="do not ask before the download")
     fetch.set_defaults(run="library_fetch", interrupted=_KEPT)
     add = actions.add_parser("add", help="prepare a folder of photographs, atlas plates or painted slices")
-    add.add_argument("folder", metavar="FOLDER")
+    add.add_argument("folder", type=file_name, metavar="FOLDER")
     add.add_argument("--name", help="of the library (default: the folder's name)")
     add.add_argument("--credit", default="", help="whom to name with results")
     add.add_argument("--licence", default="", help="of the pictures")
@@ -241,7 +257,7 @@ def _add_bench(commands) -> None:
     add(
         "-o",
         "--output",
-        type=Path,
+        type=path_name,
         default=Path("bench"),
         metavar="DIR",
         help="folder for the report (default: %(default)s)",
@@ -251,35 +267,9 @@ def _add_bench(commands) -> None:
     add("--suites", metavar="NAME[,NAME]", help="only these, such as quality,profile")
     add(
         "--data",
-        type=Path,
+        type=path_name,
         metavar="FOLDER",
         help="Visible Human photographs and CT (default: ../shared/data if there)",
     )
-    add("--seed", type=int, default=0, metavar="N", help="of warps and random search (default: %(default)s)")
+    add("--seed", type=at_least(0), default=0, metavar="N", help="of warps and random search (default: %(default)s)")
     command.set_defaults(run="bench")
-
-
-def _named_value(text: str) -> tuple[str, int | float | str]:
-    name, separator, value = text.partition("=")
-    if not (separator and name.strip() and value.strip()):
-        raise argparse.ArgumentTypeError(f"expected NAME=VALUE, such as lam=16, got {text!r}")
-    for kind in (int, float):
-        try:
-            return name.strip(), kind(value)
-        except ValueError:
-            continue
-    return name.strip(), value.strip()
-
-
-def _exposure(text: str) -> str | float:
-    try:
-        return text if text in ("auto", "off") else float(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"expected auto, off or a gain such as 1.5, got {text!r}") from None
-
-
-def _slice_range(text: str) -> tuple[int, int]:
-    start, separator, stop = text.partition(":")
-    if not separator or not start.isdigit() or not stop.isdigit():
-        raise argparse.ArgumentTypeError(f"expected A:B with whole numbers, got {text!r}")
-    return int(start), int(stop)

@@ -12,7 +12,7 @@ import hashlib
 import json
 import logging
 import os
-import shutil
+import re
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -21,12 +21,13 @@ from pathlib import Path
 from typing import Any
 
 from .. import __version__
+from ..device import is_out_of_memory
 from ..errors import InputError, MedColorError, OutputError, SettingsError, WeightsError
 from ..io.dicom import DICOM_ENDINGS, is_dicom
 from ..io.files import check_output_path, file_sha256, input_sha256, read_volume, write_color_volume
 from ..io.voxel_data import title
 from ..parameters import Settings
-from ..run.resume import Resume, forget_run, weights_sha256
+from ..run.resume import Resume, forget_run, forget_runs, weights_sha256
 from .workers import run_here, run_on_cluster, run_processes
 
 log = logging.getLogger("MedColor")
@@ -83,7 +84,7 @@ class Outcome:
         volume, output: names relative to the two folders.
         state: "done", "skipped" (finished before), "failed" or "not reached" (the batch was interrupted).
         seconds: of the work; reason: of a failure, one line; resumed_slices: taken from an interrupted run.
-        notes: what the reader decided, such as which of several volumes it took.
+        notes: what the reader decided, such as which of several volumes it took. replaced: an earlier file of that name.
     """
 
     volume: str
@@ -93,12 +94,14 @@ class Outcome:
     reason: str = ""
     resumed_slices: int = 0
     notes: tuple[str, ...] = ()
+    replaced: bool = False
 
     def text(self) -> str:
         """State, and seconds or reason."""
         resumed = f", {self.resumed_slices} slices from an interrupted run" if self.resumed_slices else ""
+        replaced = ", an earlier file of this name was replaced" if self.replaced else ""
         noted = f"; {'; '.join(self.notes)}" if self.notes else ""
-        last = {"done": f"{self.seconds:.1f} s{resumed}{noted}", "skipped": "finished before"}
+        last = {"done": f"{self.seconds:.1f} s{resumed}{replaced}{noted}", "skipped": "finished before"}
         return f"{self.state:<7}  {last.get(self.state, self.reason)}"
 
 
@@ -277,6 +280,7 @@ def color_file(
     settings = Settings.from_dict(task.settings)
     colored = colorize(volume, list(task.references), settings, progress, cancelled, resume)
     output.parent.mkdir(parents=True, exist_ok=True)
+    replaced = output.exists()
     write_color_volume(colored, output)
     colored.report["input"]["file_sha256"] = expected["input"]
     colored.report["batch"] = {**expected, "output": file_sha256(output)}
@@ -284,7 +288,8 @@ def color_file(
     forget_run(colored.report, resume)
     seconds = round(time.perf_counter() - started, 2)
     resumed = colored.report["resumed_slices"]
-    return Outcome(task.name, task.result, "done", seconds, resumed_slices=resumed, notes=volume.notes)
+    notes = volume.notes
+    return Outcome(task.name, task.result, "done", seconds, resumed_slices=resumed, notes=notes, replaced=replaced)
 
 
 def is_finished(task: Task, expected: dict) -> bool:
@@ -348,13 +353,18 @@ def _prepare_folder(folder: Path) -> None:
     except OSError as error:
         raise OutputError(f"{folder}: cannot be made ({error.strerror}); choose another folder") from error
     check_output_path(folder / SUMMARY, (".json",))
+    if (folder / SUMMARY).exists() and not _is_former_result(folder):
+        raise OutputError(f"{folder / SUMMARY}: is no summary of a batch and would be replaced; choose another folder")
 
 
 def _outcome(task: Task, result: Any) -> Outcome:
     if isinstance(result, Outcome):
         return result
     reason = " ".join(str(result).split()).replace(f"{task.source}: ", "")
-    if not isinstance(result, MedColorError):
+    if is_out_of_memory(result) and not isinstance(result, MedColorError):
+        log.debug("batch: out of memory", exc_info=result)
+        reason = "the memory of this machine is too small; use fewer --workers, --preset draft, or a smaller volume"
+    elif not isinstance(result, MedColorError):
         log.debug("batch: a volume failed", exc_info=result)
         reason = f"{type(result).__name__}: {reason}"
     return Outcome(task.name, task.result, "failed", reason=reason)
@@ -364,11 +374,12 @@ def _remove_leftovers(tasks: Sequence[Task], outcomes: Sequence[Outcome]) -> Non
     """Temporary files of killed workers; matches once no volume needs them."""
     for task in tasks:
         for final in (Path(task.output), Path(task.report)):
-            for partial in final.parent.glob(".????????-*"):
-                if partial.name.endswith((f"-unfinished-{final.name}", f"-{final.name}.part")):
+            own = re.compile(rf"\.[0-9a-f]{{8}}-(unfinished-{re.escape(final.name)}|{re.escape(final.name)}\.part)")
+            for partial in final.parent.glob(".*"):
+                if own.fullmatch(partial.name) and partial.is_file() and not partial.is_symlink():
                     partial.unlink(missing_ok=True)
     if all(outcome.state in ("done", "skipped") for outcome in outcomes):
-        shutil.rmtree(tasks[0].store, ignore_errors=True)
+        forget_runs(Path(tasks[0].store))
     with contextlib.suppress(OSError):  # not there, or matches are in it
         Path(tasks[0].store).rmdir()
 

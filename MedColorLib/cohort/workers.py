@@ -21,11 +21,13 @@ from concurrent.futures.process import BrokenProcessPool
 from typing import Any
 
 from ..errors import DeviceError, MedColorError, MissingPackageError
+from ..terminal import log_to_stderr
 
 log = logging.getLogger("MedColor")
 
 RETRIES = 2  # after a worker was lost
 CONNECT_SECONDS = 10
+ANSWER_SECONDS = CONNECT_SECONDS / 2  # for the answer to a first question; the other half is for the connection
 
 Ended = Iterator[tuple[int, Any]]
 
@@ -122,7 +124,7 @@ def _start_worker(stop, threads: int, level: int) -> None:
 
     _stop = stop
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    logging.basicConfig(level=level, format="medcolor: %(message)s")
+    log_to_stderr(level)
     torch.set_num_threads(threads)
     cv2.setNumThreads(threads)
     threading.Thread(target=_end_with_parent, daemon=True).start()
@@ -181,25 +183,57 @@ def _connect(address: str):
     """A client of the scheduler, which has a worker."""
     try:
         from distributed import Client
-        from distributed.comm import resolve_address
     except ImportError as error:
         raise MissingPackageError(
             "batch: --scheduler needs dask.distributed, which is not installed; run: pip install 'medcolor[cluster]'"
         ) from error
+    silent = DeviceError(
+        f"scheduler {address}: no Dask scheduler answers there within {CONNECT_SECONDS} s; check the address, or start "
+        "one with 'dask scheduler'"
+    )
     try:
-        resolve_address(address)  # Client takes long to give up on an unknown host or kind of address
-        client = Client(address, timeout=CONNECT_SECONDS, set_as_default=False)
+        if not _is_scheduler(address, ANSWER_SECONDS):
+            raise silent
+        client = Client(address, timeout=ANSWER_SECONDS, set_as_default=False)
     except (OSError, ValueError, asyncio.TimeoutError) as error:  # ValueError: not an address
-        raise DeviceError(
-            f"scheduler {address}: no Dask scheduler answers there within {CONNECT_SECONDS} s; check the address, or start "
-            "one with 'dask scheduler'"
-        ) from error
+        raise silent from error
     try:
         client.wait_for_workers(1, timeout=CONNECT_SECONDS)
     except (TimeoutError, asyncio.TimeoutError) as error:  # the same from Python 3.11 on
         client.close()
         raise DeviceError(f"scheduler {address}: has no workers; start one with 'dask worker {address}'") from error
     return client
+
+
+def _is_scheduler(address: str, seconds: float) -> bool:
+    """Whether what listens there says that it is a scheduler.
+
+    `Client` takes long to give up on an unknown host or kind of address, and never gives up on a peer that is silent or says
+    something else. The question is asked in a thread that may be left behind: garbage can keep the reading of it busy.
+    """
+    from distributed.comm import resolve_address
+    from distributed.core import rpc
+
+    said = queue.SimpleQueue()
+
+    async def ask() -> None:
+        async with rpc(resolve_address(address), timeout=seconds) as peer:
+            said.put(await asyncio.wait_for(peer.identity(), seconds))
+
+    def work() -> None:
+        try:
+            asyncio.run(ask())
+        except Exception as error:  # whatever the garbage makes of the reading
+            said.put(error)
+
+    threading.Thread(target=work, daemon=True).start()
+    try:
+        identity = said.get(timeout=seconds)
+    except queue.Empty:
+        return False
+    if isinstance(identity, Exception):
+        log.debug("scheduler %s: %s: %s", address, type(identity).__name__, identity)
+    return isinstance(identity, dict) and identity.get("type") == "Scheduler"
 
 
 def _on_cluster(work: Callable, task: Any, stop: str) -> Any:

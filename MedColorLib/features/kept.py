@@ -14,6 +14,7 @@ import json
 import logging
 import os
 import platform
+import re
 import secrets
 from collections.abc import Sequence
 from pathlib import Path
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("MedColor")
 
+_NAME = re.compile(r"[0-9a-f]{64}\.safetensors")
 MOST_BYTES = 500_000_000  # of all references together; those not read for the longest time are deleted first
 
 
@@ -105,7 +107,9 @@ def _keep(path: Path, features: dict[int, Tensor]) -> None:
 
 
 def _make_room(folder: Path, needed: int) -> None:
-    files = sorted((file.stat().st_mtime, file.stat().st_size, file) for file in folder.glob("*.safetensors"))
+    """Delete files that bear the names of kept features, those read longest ago first; others and links stay."""
+    kept = [file for file in folder.iterdir() if _NAME.fullmatch(file.name) and not file.is_symlink()]
+    files = sorted((file.stat().st_mtime, file.stat().st_size, file) for file in kept if file.is_file())
     total = needed + sum(size for _, size, _ in files)
     for _, size, file in files:
         if total <= MOST_BYTES:

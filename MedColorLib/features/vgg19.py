@@ -13,8 +13,8 @@ from collections.abc import Iterator, Sequence
 import torch
 import torch.nn.functional as F
 
-from ..device import choose_device, fast_dtype
-from ..errors import DeviceError, InputError, SettingsError, WeightsError
+from ..device import choose_device, fast_dtype, is_out_of_memory
+from ..errors import InputError, MemoryTooSmall, SettingsError, WeightsError
 from .architectures import ARCHITECTURES, POOL5_SIDE
 from .dense import DenseLayer
 from .weights import NetworkWeights
@@ -54,8 +54,10 @@ def fold_luminance(weight: torch.Tensor, gains: Sequence[float], offsets: Sequen
 def _device_memory(device: torch.device, shape: Sequence[int]) -> Iterator[None]:
     try:
         yield
-    except torch.cuda.OutOfMemoryError as error:
-        raise DeviceError(
+    except Exception as error:
+        if not is_out_of_memory(error):
+            raise
+        raise MemoryTooSmall(
             f"{device}: out of memory for features of {tuple(shape)}; take fewer slices at once, or the cpu"
         ) from error
 

@@ -197,11 +197,15 @@ def fetch_weights(
     if ready.exists() and _whole(ready):
         return ready
     source = folder / entry["file"]
-    if not source.exists():  # it does where an earlier conversion found the disk full
+    fetched = not source.exists()  # else a user put it there, or an earlier conversion found the disk full
+    if fetched:
         expected = {"size": entry["bytes"], "sha256": entry["sha256"]}
         download(url or entry["url"], source, **expected, progress=progress, cancelled=cancelled)
     ready = convert_weights(open_checkpoint(source), folder)
-    source.unlink()
+    if fetched:
+        source.unlink()
+    else:
+        _logger.info("%s was there before and stays; it is no longer needed", source)
     return ready
 
 

@@ -9,8 +9,6 @@ from __future__ import annotations
 import gzip
 import hashlib
 import os
-import secrets
-import tempfile
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -20,6 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError, OutputError
+from ..output import COLOR_ENDINGS, atomic_output, check_output_path
 from ..volume import ColorVolume, Volume
 from .choice import Choice
 from .dicom import DICOM_ENDINGS, dicom_choices, is_dicom, read_dicom
@@ -39,7 +38,6 @@ from .pictures import folder_choices, read_picture_folder, read_tiff, tiff_choic
 from .voxel_data import IS_FLAT, LPS_TO_RAS, check_size, data_file, title
 
 MAX_BYTES = 16 * 2**30
-COLOR_ENDINGS = (".nrrd", ".nii.gz", ".nii")
 _RGB24 = np.dtype([("R", "u1"), ("G", "u1"), ("B", "u1")])
 _NIFTI_MAX = 32767
 _ORTHONORMAL = 1e-6  # largest cosine between axes that a NIfTI qform may drop
@@ -147,45 +145,6 @@ def _write(array: np.ndarray, ijk_to_ras: np.ndarray, path: Path) -> None:
         write(array, ijk_to_ras, temporary)
 
 
-def check_output_path(path: str | os.PathLike, endings: tuple[str, ...] = COLOR_ENDINGS) -> str:
-    """Find out before a long computation whether `path` can be written. Returns its ending.
-
-    Raises:
-        OutputError: unknown ending, `path` is a folder, or its folder is missing, read-only or full.
-    """
-    path = Path(path)
-    ending = _ending(path, endings)
-    if ending is None:
-        raise OutputError(f"{path}: unknown file ending; use one of {', '.join(endings)}")
-    if path.is_dir():
-        raise OutputError(f"{path}: is a folder; give the name of a file")
-    if not path.parent.is_dir():
-        raise OutputError(f"{path}: the folder {path.parent} does not exist; create it first")
-    try:
-        with tempfile.TemporaryFile(dir=path.parent) as file:
-            file.write(bytes(4096))
-    except OSError as error:
-        raise OutputError(f"{path}: cannot write in {path.parent} ({error.strerror}); choose another folder") from error
-    return ending
-
-
-@contextmanager
-def atomic_output(path: Path) -> Iterator[Path]:
-    """A temporary name beside `path`, of the same ending; it replaces `path` at the end and is removed on any failure.
-
-    Raises:
-        OutputError: on any `OSError` inside.
-    """
-    temporary = path.with_name(f".{secrets.token_hex(4)}-unfinished-{path.name}")
-    try:
-        yield temporary
-        os.replace(temporary, path)
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written ({error.strerror or error}); nothing was left there") from error
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
 def file_sha256(path: str | os.PathLike) -> str:
     """SHA-256 (hex) of a file; of a folder: over the SHA-256 of its files in the order of their names.
 
@@ -235,6 +194,8 @@ def _digest(file: Path) -> bytes:
 @contextmanager
 def _input_errors(path: str | os.PathLike) -> Iterator[Path]:
     """Puts the path before every reason, and turns the system's refusals into reasons."""
+    if not os.fspath(path):
+        raise InputError("the name of the input is empty; name a file or a folder")
     path = Path(path)
     try:
         if not path.exists():

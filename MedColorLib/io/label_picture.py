@@ -18,6 +18,7 @@ from .voxel_data import MAX_DEFLATE_RATIO
 
 _MAGIC = b"\x89PNG\r\n\x1a\n"
 _GREY, _PALETTE = 0, 3  # colour types of the PNG specification that hold one number per pixel
+MAX_PIXELS = 178_956_970  # as of photographs, on which they are drawn
 _KEPT = (b"IDAT", b"IEND")
 
 
@@ -60,6 +61,11 @@ def _with_plain_values(data: bytes, name: str) -> bytes:
     if not chunks or chunks[0][0] != b"IHDR" or len(chunks[0][1]) != 13:
         raise InputError(f"reference labels {name}: the PNG is damaged; save it again")
     header = chunks[0][1]
+    width, height = struct.unpack(">II", header[:8])
+    if width * height > MAX_PIXELS:
+        raise InputError(
+            f"reference labels {name}: {width} x {height} pixels, more than {MAX_PIXELS // 10**6} megapixels"
+        )
     bits, kind = header[8], header[9]
     columns, rows = struct.unpack(">II", header[:8])
     packed = sum(len(content) for what, content in chunks if what == b"IDAT")

@@ -16,10 +16,10 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import Cancelled, InputError
+from ..errors import Cancelled, InputError, SettingsError
 from ..features import unit_descriptors
 from ..references.library import library_folder, read_reference
-from ..references.photograph import PICTURE_SUFFIXES
+from ..references.pictures import pictures_in
 from ..scan.grid import choose_grid
 from ..volume import Volume
 from .orientation import turned
@@ -56,6 +56,7 @@ def recommend(
         (path, cosine similarity -1..1), best first.
 
     Raises:
+        SettingsError: `top` is below 1.
         InputError: no such library, no usable picture in it, or no body in the volume or slice.
         Cancelled: `cancelled()` returned True.
     """
@@ -95,6 +96,8 @@ class Recommender:
         cancelled: Callable[[], bool] | None = None,
     ) -> list[tuple[str, float]]:
         """See the function `recommend`."""
+        if isinstance(top, bool) or not isinstance(top, int) or top < 1:
+            raise SettingsError(f"recommend: expected a whole number of at least 1 to name, got {top!r}")
         greys = self._greys(volume, slice_index)
         if self._descriptors is None:
             self.look_again(progress, cancelled)
@@ -158,9 +161,9 @@ def index_library(
     the log. One picture is in memory at a time.
     """
     folder = library_folder(library)
-    files = sorted(p for p in folder.rglob("*") if p.suffix.lower() in PICTURE_SUFFIXES and p.is_file())
+    files = sorted(pictures_in(folder, below=True))
     if not files:
-        raise InputError(f"library {folder.name}: holds no picture (PNG, JPEG or TIFF)")
+        raise InputError(f"library {folder.name}: holds no picture (PNG, JPEG, TIFF ...)")
     index = _Index(extractor, device)
     known: list[tuple[Path, str]] = []
     try:

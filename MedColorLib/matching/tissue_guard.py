@@ -260,9 +260,9 @@ def _cut(labels, reference: Reference) -> np.ndarray:
             f"reference labels {name}: {values.shape[1]} x {values.shape[0]} pixels, but the picture of {reference.name} has "
             f"{size}; draw the labels on the picture itself"
         )
-    inner = frame.cut(values).astype(np.int64)
+    inner = frame.cut(values)
     rows, cols = (((np.arange(n) + 0.5) * size / n).astype(int) for n, size in zip(reference.mask.shape, inner.shape))
-    return inner[np.ix_(rows, cols)]
+    return inner[np.ix_(rows, cols)].astype(np.int64)
 
 
 def _checked_groups(groups: Mapping[int, int]) -> dict[int, int]:

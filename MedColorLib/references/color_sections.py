@@ -23,7 +23,7 @@ def read_sections(path: str | Path) -> list[Reference]:
     """References of a colour volume in a file: NRRD, NIfTI or MetaImage, RGB or RGBA of 8 bits.
 
     Raises:
-        InputError: missing, unreadable, not such a volume, too large, or black.
+        InputError: missing, unreadable, not such a volume, too large, black, or under a path that is not UTF-8.
     """
     path = Path(path)
     values, ijk_to_ras = _read_vector_volume(path)

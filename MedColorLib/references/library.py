@@ -9,12 +9,12 @@ what a user names, a folder or a library, into a folder.
 from __future__ import annotations
 
 import contextlib
+import functools
 import hashlib
 import json
 import logging
 import os
 import re
-import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -22,17 +22,23 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import Cancelled, InputError, OutputError, SettingsError
+from ..features.download import sha256_of
 from ..io.voxel_data import natural_key
 from .given_mask import read_mask
-from .photograph import PICTURE_SUFFIXES, Frame, Reference, prepare_reference, read_picture
+from .photograph import Frame, Reference, prepare_reference
+from .pictures import Picture, load_picture, pictures_in
+from .tissue_mask import find_tissue
 
 log = logging.getLogger("MedColor")
 
 INDEX = "library.json"
 LONG_SIDE_PX = 1024  # four times the raster on which slices are matched
 MAX_PICTURE_BYTES = 512 << 20
+FETCHED = ("visible-human-male",)  # names of those that a server has, see `visible_human.SOURCES`
 _MARGIN_PX = 8  # of black around the tissue: whoever cuts the picture again sees its background
 _NAME = re.compile(r"[a-z0-9][a-z0-9._-]{0,63}")
+_INSIDE = re.compile(r"(?!\.)[^/\\:\0]+")  # names of files in a folder, on any system
+_PICTURE = re.compile(r"[A-Za-z0-9._-]*-[0-9a-f]{8}\.png")
 
 
 def libraries_folder() -> Path:
@@ -67,7 +73,9 @@ def library_folder(library: str | Path) -> Path:
 def no_library(name: str) -> str:
     """Half a sentence for messages: that there is no library `name`, and which there are."""
     names = [row["name"] for row in list_libraries()]
-    return f"no library is called {name} ({'there are ' + ', '.join(names) if names else 'there is none yet'})"
+    there = f"there are {', '.join(names)}" if names else "there is none yet"
+    fetch = f"; run `medcolor library fetch {name}` to get it" if name in FETCHED else ""
+    return f"no library is called {name} ({there}){fetch}"
 
 
 def list_libraries() -> list[dict]:
@@ -89,18 +97,39 @@ def list_libraries() -> list[dict]:
 
 
 def remove_library(name: str) -> None:
-    """Delete a library from the cache.
+    """Delete a library from the cache: its index and the pictures that MedColor prepared. Other files stay, and are named.
 
     Raises:
-        InputError: no such library. OutputError: it cannot be deleted.
+        InputError: no such library. OutputError: it cannot be deleted, or is a link to elsewhere.
     """
     folder = libraries_folder() / name
     if not _NAME.fullmatch(name) or not folder.is_dir():
         raise InputError(f"library {name}: {no_library(name)}")
+    if folder.is_symlink():
+        raise OutputError(f"library {name}: {folder} is a link, which is not followed; delete the link yourself")
+    if not (folder / INDEX).is_file():
+        raise OutputError(f"library {name}: {folder} holds no {INDEX}, it is none of MedColor's; delete it yourself")
     try:
-        shutil.rmtree(folder)
+        for file in _own_files(folder):
+            file.unlink()
+        others = [file.name for file in folder.iterdir()]
+        if not others:
+            folder.rmdir()
     except OSError as error:
         raise OutputError(f"library {name}: cannot be deleted ({error.strerror})") from error
+    if others:
+        log.warning("library %s: %d files that are not MedColor's stay in %s", name, len(others), folder)
+
+
+def _own_files(folder: Path) -> list[Path]:
+    """What MedColor wrote: by the index, or by its names where the index is damaged; the index comes last. No links."""
+    try:
+        names = {entry["file"] for entry in read_index(folder)["pictures"]}
+    except InputError:
+        names = {file.name for file in folder.glob("*.png") if _PICTURE.fullmatch(file.name)}
+    names |= {file.name for file in folder.glob(".*.part")}
+    files = [folder / name for name in sorted(names)]
+    return [*(file for file in files if file.is_file() and not file.is_symlink()), folder / INDEX]
 
 
 def add_library(
@@ -131,10 +160,9 @@ def add_library(
     if not folder.is_dir():
         raise InputError(f"library add: no folder {folder}")
     name = checked_name(name if name is not None else re.sub(r"[^a-z0-9._-]+", "-", folder.resolve().name.lower()))
-    files = [file for file in folder.rglob("*") if file.suffix.lower() in PICTURE_SUFFIXES and file.is_file()]
+    files = pictures_in(folder, below=True)
     if not files:
-        raise InputError(f"library add: {folder.name} holds no picture (PNG, JPEG or TIFF)")
-    files.sort(key=lambda file: natural_key(file.relative_to(folder)))
+        raise InputError(f"library add: {folder.name} holds no picture (PNG, JPEG, TIFF ...)")
     library = LibraryWriter(name, title=folder.resolve().name, credit=credit, licence=licence)
     for number, file in enumerate(files):
         if cancelled is not None and cancelled():
@@ -165,19 +193,49 @@ def read_index(folder: Path) -> dict:
     """`library.json` of a library.
 
     Raises:
-        InputError: missing or damaged.
+        InputError: missing or damaged, or it names a picture that lies elsewhere.
     """
+    again = f"run `medcolor library remove {folder.name}` and make it again"
     try:
         index = json.loads((folder / INDEX).read_text(encoding="utf-8"))
-        [(entry["file"], entry["sha256"], entry["sha256_prepared"], entry["removed"]) for entry in index["pictures"]]
-        if any(key not in index for key in ("title", "credit", "licence", "complete", "left_out")):
-            raise KeyError
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(
-            f"library {folder.name}: its {INDEX} is missing or damaged; run `medcolor library remove {folder.name}` and "
-            "make it again"
-        ) from error
+        _check_index(index)
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise InputError(f"library {folder.name}: its {INDEX} is missing or damaged; {again}") from error
+    for name in (entry["file"] for entry in index["pictures"]):
+        if not _INSIDE.fullmatch(name) or (folder / name).is_symlink():
+            raise InputError(f"library {folder.name}: its {INDEX} names {name!r}, which lies outside of it; {again}")
     return index
+
+
+def _check_index(index: dict) -> None:
+    """Raises KeyError, TypeError or ValueError for what is no index of ours."""
+    texts = [index[key] for key in ("title", "credit", "licence")]
+    for entry in index["pictures"]:
+        texts += [entry["file"], entry["source"], entry["sha256"], entry["sha256_prepared"]]
+        if not 0 <= float(entry["removed"]) <= 1:
+            raise ValueError("removed")
+    for entry in index["left_out"]:
+        texts += [entry["source"], entry["why"]]
+    if not all(isinstance(text, str) for text in texts) or not isinstance(index["complete"], bool):
+        raise TypeError("texts")
+
+
+def _is_library(folder: Path) -> bool:
+    """Whether pictures in a folder are prepared ones: an index of ours is there, not any file of that name."""
+    try:
+        state = (folder / INDEX).stat()
+    except OSError:
+        return False
+    return _has_index(folder, state.st_mtime_ns, state.st_size)
+
+
+@functools.lru_cache(maxsize=8)  # time and size are in the key: a changed index is looked at anew
+def _has_index(folder: Path, modified_ns: int, size: int) -> bool:
+    try:
+        read_index(folder)
+    except InputError:
+        return False
+    return True
 
 
 def read_reference(path: Path, mask: Path | None = None) -> Reference:
@@ -189,14 +247,36 @@ def read_reference(path: Path, mask: Path | None = None) -> Reference:
     Raises:
         InputError: not readable, no colour, no tissue.
     """
-    rgb = read_picture(str(path))
-    if not (path.parent / INDEX).is_file():
-        return prepare_reference(rgb, path.stem, None if mask is None else read_mask(mask, rgb.shape[:2]))
-    mask = rgb.any(axis=2)
+    picture = load_picture(path)
+    if not _is_library(path.parent):
+        return _prepared(picture, path.stem, None if mask is None else read_mask(mask, picture.shape))
+    rgb, mask = picture.rgb, picture.rgb.any(axis=2)
     if not mask.any():
         raise InputError(f"reference {path.name}: the picture is black; make the library again")
     frame = Frame.around(mask)
     return Reference(frame.cut(rgb), frame.cut(mask), path.stem, 1 - float(mask.mean()), frame=frame)
+
+
+def _prepared(picture: Picture, name: str, given: np.ndarray | None = None) -> Reference:
+    """Cut the tissue out; the frame is that of the whole picture, before it was made smaller.
+
+    Args:
+        given: (H, W) bool, the tissue on the whole picture, upright; it outweighs transparency.
+    """
+    tissue, notes = None, picture.notes
+    if given is not None:
+        tissue = same_places(given, picture.rgb.shape[:2])
+    elif picture.opaque is not None:
+        tissue, note = find_tissue(picture.rgb)
+        tissue, notes = tissue & picture.opaque, (*notes, *([note] if note else []))
+    reference = prepare_reference(picture.rgb, name) if tissue is None else prepare_reference(picture.rgb, name, tissue)
+    return replace(reference, frame=reference.frame.scaled(picture.shape), notes=(*notes, *reference.notes))
+
+
+def same_places(mask: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """A mask (H, W) in another size (h, w): what lies at the middle of each pixel."""
+    rows, cols = (((np.arange(n) + 0.5) * size / n).astype(int) for n, size in zip(shape, mask.shape))
+    return mask[np.ix_(rows, cols)]
 
 
 def shrunk(reference: Reference, long_side: float) -> Reference:
@@ -254,7 +334,7 @@ class LibraryWriter:
         try:
             if path.stat().st_size > MAX_PICTURE_BYTES:
                 raise InputError(f"{path.name}: more than {MAX_PICTURE_BYTES >> 20} MiB; reduce the picture first")
-            digest = hashlib.sha256(path.read_bytes()).hexdigest()
+            digest = sha256_of(path)
         except OSError as error:
             return self.leave_out(source, f"{path.name}: cannot be read ({error.strerror})")
         except InputError as error:
@@ -262,12 +342,13 @@ class LibraryWriter:
         if self.has(source) and self.entry(source)["sha256"] == digest:
             return None
         try:
-            reference = prepare_reference(read_picture(str(path)), path.name)
+            reference = _prepared(load_picture(path), path.name)
         except InputError as error:
             return self.leave_out(source, str(error), sha256=digest)
         prepared = shrunk(reference, LONG_SIDE_PX)
         if known.get("mm_per_pixel"):
-            known["mm_per_pixel"] *= max(reference.mask.shape) / max(prepared.mask.shape)
+            rows, height = reference.frame.rows, prepared.mask.shape[0]
+            known["mm_per_pixel"] *= (rows[1] - rows[0]) / height
         file = re.sub(r"[^A-Za-z0-9._-]+", "-", source.rsplit(".", 1)[0]).strip(".-") + f"-{digest[:8]}.png"
         data = _png(prepared)
         self._write(self.folder / file, data)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+import os
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import groupby
@@ -10,23 +12,28 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError
-from ..io.voxel_data import natural_key
 from ..volume import ColorVolume
 from .color_sections import COLOR_SUFFIXES, read_sections, sections
 from .exposure import expose
 from .given_mask import mask_beside, masks_for, read_mask
-from .library import find_library, no_library, read_index, read_reference, shrunk
-from .photograph import PICTURE_SUFFIXES, Reference, prepare_reference
+from .library import LONG_SIDE_PX, find_library, no_library, read_index, read_reference, same_places, shrunk
+from .photograph import Reference, prepare_reference
+from .pictures import LONG_SIDE_PX as READ_SIDE_PX
+from .pictures import pictures_in, reduced
+
+log = logging.getLogger("MedColor")
 
 MANY = 16  # of more references, none is kept with a shorter side over SIDE_OF_MANY_PX: 700 then take 1 GB instead of 5
 SIDE_OF_MANY_PX = 384  # half again the raster on which slices are matched
+_LEFT_OUT = "left out of"
+_MASKS_FOR = "only for photographs, and folders of them; colour volumes and libraries are cut"
 _NAMED = 7  # pictures of one group that the plan names one by one
 
 
 def load_references(
     references: Sequence, exposure: str | float = "auto", masks: Sequence[str | None] | None = None
 ) -> tuple[Reference, ...]:
-    """Prepare references: cut to their tissue, in their usual brightness.
+    """Prepare references: cut to their tissue, in their usual brightness, at most 1024 pixels long each.
 
     Args:
         references: paths of colour pictures, of folders (all pictures in them, in natural order) or of colour volumes
@@ -36,31 +43,40 @@ def load_references(
         exposure: "auto", "off" or a gain; see `exposure`.
         masks: for each of the references a picture of its tissue (for a folder a folder of them), or None or "auto".
 
+    Returns:
+        References with different names. A picture of a folder that cannot be used is left out: the log and the notes of
+        the folder's first reference say so.
+
     Raises:
-        InputError: none given, or one that cannot be used.
+        InputError: none given, or one that cannot be used; of a folder, none that can.
     """
     if isinstance(references, (str, Path, np.ndarray, ColorVolume)):
         references = [references]
     prepared: list[Reference] = []
     for number, (item, mask) in enumerate(zip(references, masks_for(masks, len(references)))):
-        prepared += _of(item, number, mask)
+        prepared += [shrunk(reference, LONG_SIDE_PX) for reference in _of(item, number, mask)]
     if not prepared:
         raise InputError("references: none given; name at least one colour picture (-r REF)")
-    return tuple(expose(prepared, exposure))
+    return tuple(expose(_told_apart(prepared), exposure))
 
 
 def _of(item, number: int, mask: Path | None) -> list[Reference]:
     if isinstance(item, np.ndarray):
         return [_of_array(item, f"reference {number + 1}", mask)]
-    if mask is not None and (isinstance(item, ColorVolume) or not Path(item).exists() or _is_volume(item)):
-        raise InputError(
-            f"reference mask {mask.name}: only for photographs, and folders of them; colour volumes and libraries are cut"
-        )
     if isinstance(item, ColorVolume):
+        if mask is not None:
+            raise InputError(f"reference mask {mask.name}: {_MASKS_FOR}")
         return sections(item.rgb, item.ijk_to_ras, item.name)
+    if not isinstance(item, (str, os.PathLike)):
+        kind = type(item).__name__
+        raise InputError(f"reference {number + 1}: expected a path, the name of a library or an array, got {kind}")
+    if not os.fspath(item).strip():
+        raise InputError("reference: the name is empty; name a colour picture, a folder, a colour volume or a library")
     path = Path(item)
+    if mask is not None and (not path.exists() or _is_volume(path)):
+        raise InputError(f"reference mask {mask.name}: {_MASKS_FOR}")
     if path.is_dir():
-        return _of_files(_pictures(path), path.name, mask)
+        return _of_files(_pictures(path), path.name or path.resolve().name, mask)
     if _is_volume(path):
         return read_sections(path)
     library = None if path.exists() else find_library(str(item))
@@ -79,41 +95,70 @@ def _of_array(picture: np.ndarray, name: str, mask: Path | None) -> Reference:
     tissue = None if mask is None else read_mask(mask, picture.shape[:2])
     if picture.ndim == 3 and picture.shape[2] == 4:
         picture, tissue = picture[..., :3], picture[..., 3] > 127 if tissue is None else tissue
-    return prepare_reference(picture, name, tissue)
+    if picture.dtype != np.uint8 or picture.ndim != 3 or picture.shape[2] != 3 or not picture.size:
+        return prepare_reference(picture, name, tissue)  # which says what is wrong
+    small = reduced(picture, READ_SIDE_PX)
+    reference = prepare_reference(small, name, None if tissue is None else same_places(tissue, small.shape[:2]))
+    return replace(reference, frame=reference.frame.scaled(picture.shape[:2]))
 
 
 def _pictures(folder: Path) -> list[Path]:
-    found = [p for p in folder.iterdir() if p.suffix.lower() in PICTURE_SUFFIXES]
+    found = pictures_in(folder)
     if not found:
-        raise InputError(f"reference folder {folder.name}: holds no picture (PNG, JPEG or TIFF)")
-    return sorted(found, key=natural_key)
+        raise InputError(f"reference folder {folder.name}: holds no picture (PNG, JPEG, TIFF ...)")
+    return found
 
 
 def _of_files(files: list[Path], group: str, masks: Path | None = None) -> list[Reference]:
-    found = []
+    """References of the files that can be used; what is left out is said in the notes of the first."""
+    found: list[Reference] = []
+    left_out: list[str] = []
     for file in files:
-        reference = replace(read_reference(file, masks and mask_beside(masks, file)), group=group)
+        mask = masks and mask_beside(masks, file)
+        try:
+            reference = replace(read_reference(file, mask), group=group)
+        except InputError as error:
+            log.warning("left out of %s: %s", group, error)
+            left_out.append(f"{_LEFT_OUT} {group}: {error}")
+            continue
         shape = reference.mask.shape
         found.append(shrunk(reference, SIDE_OF_MANY_PX * max(shape) / min(shape)) if len(files) > MANY else reference)
+    if not found:
+        raise InputError(
+            f"reference folder {group}: none of its {len(files)} pictures can be used; the first: "
+            f"{left_out[0].partition(': ')[2]}"
+        )
+    found[0] = replace(found[0], notes=(*found[0].notes, *left_out))
     return found
 
 
 def _of_library(folder: Path) -> list[Reference]:
     index = read_index(folder)
-    files = [folder / entry["file"] for entry in index["pictures"]]
-    if not files:
+    entries = {Path(entry["file"]).stem: entry for entry in index["pictures"]}
+    if not entries:
         raise InputError(f"library {folder.name}: it holds no picture yet; run the command that made it again")
     state = "" if index["complete"] else ", not complete"
-    group = f"library {folder.name}{state}"
-    return [
-        replace(
-            reference,
-            removed=entry["removed"],
-            credit=index["credit"],
-            white=tuple(entry.get("white", (1.0, 1.0, 1.0))),
-        )
-        for reference, entry in zip(_of_files(files, group), index["pictures"])
-    ]
+    found = _of_files([folder / entry["file"] for entry in index["pictures"]], f"library {folder.name}{state}")
+    return [_from_index(reference, entries[reference.name], index["credit"]) for reference in found]
+
+
+def _from_index(reference: Reference, entry: dict, credit: str) -> Reference:
+    white = tuple(entry.get("white", (1.0, 1.0, 1.0)))
+    return replace(reference, removed=entry["removed"], credit=credit, white=white)
+
+
+def _told_apart(references: Sequence[Reference]) -> list[Reference]:
+    """The references, those of one name numbered: section, section (2), ..."""
+    taken: set[str] = set()
+    found = []
+    for reference in references:
+        name, count = reference.name, 1
+        while name in taken:
+            count += 1
+            name = f"{reference.name} ({count})"
+        taken.add(name)
+        found.append(reference if count == 1 else replace(reference, name=name))
+    return found
 
 
 def describe_references(references: Sequence[Reference]) -> str:
@@ -124,11 +169,19 @@ def describe_references(references: Sequence[Reference]) -> str:
         if not group or len(members) <= _NAMED:
             parts += [f"{r.name} ({'; '.join([_removed([r]), *_exposure([r]), *r.notes])})" for r in members]
             continue
-        noted = sum(bool(r.notes) for r in members)
+        noted = sum(any(not note.startswith(_LEFT_OUT) for note in r.notes) for r in members)
         notes = [f"{noted} with a note, see the report"] if noted else []
-        about = "; ".join([_removed(members), *_exposure(members), *notes])
+        about = "; ".join([_removed(members), *_exposure(members), *notes, *_left_out(members)])
         parts.append(f"{len(members)} of {group}, {members[0].name} to {members[-1].name} ({about})")
     return "; ".join(parts + sorted({r.credit for r in references if r.credit}))
+
+
+def _left_out(references: Sequence[Reference]) -> list[str]:
+    """What could not be used of a folder, the first few by name."""
+    texts = [note for r in references for note in r.notes if note.startswith(_LEFT_OUT)]
+    return texts[:_NAMED] + (
+        [f"and {len(texts) - _NAMED} more left out, see the report"] if len(texts) > _NAMED else []
+    )
 
 
 def _removed(references: Sequence[Reference]) -> str:

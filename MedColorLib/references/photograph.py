@@ -11,8 +11,6 @@ from ..scan.grid import Grid, continue_outwards, to_grid
 from .exposure import Exposure, neutral_balance
 from .tissue_mask import find_tissue
 
-PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")  # of files in a folder of references
-
 
 @dataclass(frozen=True)
 class Frame:
@@ -32,6 +30,12 @@ class Frame:
         """That part of a picture (h, w[, c]); a contiguous copy."""
         return np.ascontiguousarray(picture[slice(*self.rows), slice(*self.cols)])
 
+    def scaled(self, shape: tuple[int, int]) -> Frame:
+        """The same part of the picture in another size, (h, w)."""
+        down, across = (new / old for new, old in zip(shape, self.shape))
+        rows = round(self.rows[0] * down), round(self.rows[1] * down)
+        return Frame(shape, rows, (round(self.cols[0] * across), round(self.cols[1] * across)))
+
 
 @dataclass(frozen=True)
 class Reference:
@@ -45,7 +49,7 @@ class Reference:
         group: the folder, library or colour volume that it is one of many of, for the plan.
         credit: whom to name with a result.
         frame: which part of its picture it is; None where that is not known.
-        notes: what was decided when it was prepared, one clause each.
+        notes: what was decided when it was read and prepared, one clause each.
         white: (red, green, blue) factors of the white balance that the picture asks for; see `exposure`.
         exposure: what `rgb` has been brought to its usual brightness with.
     """
@@ -60,41 +64,6 @@ class Reference:
     notes: tuple[str, ...] = ()
     white: tuple[float, float, float] = (1.0, 1.0, 1.0)
     exposure: Exposure = field(default_factory=Exposure)
-
-
-def read_picture(path: str) -> np.ndarray:
-    """Read a colour picture as (h, w, 3) uint8 sRGB.
-
-    Raises:
-        InputError: missing, unreadable, or a grey picture (a reference must have colour).
-    """
-    import os
-
-    import cv2
-
-    from ..io.pictures import quiet_cv2
-
-    name = os.path.basename(path)
-    if not os.path.isfile(path):
-        raise InputError(f"reference: no file {path}")
-    try:
-        with open(path, "rb") as stream:
-            data = np.frombuffer(stream.read(), np.uint8)
-    except OSError as error:
-        raise InputError(f"reference {name}: cannot be read ({error.strerror}); check the permissions") from error
-    with quiet_cv2():
-        picture = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
-    if picture is None:
-        raise InputError(f"reference {name}: not a picture that can be read; use PNG, JPEG or TIFF")
-    if picture.ndim == 2:
-        raise InputError(f"reference {name}: a grey picture; the reference must be a colour photograph (RGB)")
-    if picture.dtype not in (np.uint8, np.uint16):
-        raise InputError(f"reference {name}: {picture.dtype} channels; save it with 8 or 16 bits per channel")
-    if picture.dtype == np.uint16:
-        picture = np.rint(picture / 65535 * 255).astype(np.uint8)
-    if picture.shape[2] == 4:  # transparent is not tissue: the mask takes black at the border as background
-        picture = np.where(picture[..., 3:] > 127, picture[..., :3], 0).astype(np.uint8)
-    return np.ascontiguousarray(picture[..., ::-1])
 
 
 def prepare_reference(rgb: np.ndarray, name: str = "reference", tissue: np.ndarray | None = None) -> Reference:

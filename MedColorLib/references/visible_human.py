@@ -24,7 +24,7 @@ from urllib.parse import urljoin, urlsplit
 
 from ..errors import Cancelled, InputError, MedColorError, SettingsError
 from ..features.download import Subject, connect, connection_errors, download
-from .library import LibraryWriter
+from .library import FETCHED, LibraryWriter
 
 log = logging.getLogger("MedColor")
 
@@ -58,7 +58,7 @@ class Source:
 
 
 SOURCES = {
-    "visible-human-male": Source(
+    FETCHED[0]: Source(
         "Visible Human Male, head, thorax and abdomen",
         "https://data.lhncbc.nlm.nih.gov/public/Visible-Human/Male-Images/PNG_format/",
         ("head", "thorax", "abdomen"),

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import OutputError, SettingsError
+from ..output import followed
 from ..scan.intensity import apply_window, choose_window
 from ..volume import ColorVolume, Volume
 from .grid import (
@@ -146,6 +147,7 @@ def write_png(target: Path, picture: np.ndarray) -> None:
     import cv2
 
     _, data = cv2.imencode(".png", picture[..., ::-1])
+    target = followed(target)
     unfinished = target.with_name(f".{target.name}.{os.getpid()}.part")
     try:
         unfinished.write_bytes(data.tobytes())

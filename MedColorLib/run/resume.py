@@ -4,8 +4,11 @@ Matching takes nearly all the time and yields little: fields of positions. They 
 of slices in `runs/KEY/`. KEY is a SHA-256 over everything that matches depend on: voxels and geometry, references,
 settings, weights, this library's own code, versions, machine and number of threads. So a run never takes up anything but
 its own matches, and no name of a patient or file is kept. Colours are made anew from the matches: the same bytes as
-without the interruption. For their sake slices go through the network in the same batches as before, too: how many go
-together may change the rounding.
+without the interruption. For the sake of equal bytes slices go through the network in the same batches as before, too: how
+many go together may change the rounding.
+
+Only files that bear MedColor's mark and the key of their run are ever deleted, and a folder only once it is empty. Links are
+not followed.
 """
 
 from __future__ import annotations
@@ -15,8 +18,8 @@ import hashlib
 import json
 import logging
 import os
+import re
 import secrets
-import shutil
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, fields
 from functools import lru_cache
@@ -35,6 +38,10 @@ if TYPE_CHECKING:
 log = logging.getLogger("MedColor")
 
 _SUFFIX = ".safetensors"
+_KEY = re.compile(r"[0-9a-f]{64}")
+_MATCHES = re.compile(r"\d{6,}-\d{6,}-\d+-\d+\.safetensors")
+_PARTIAL = re.compile(r"\.[0-9a-f]{8}-" + _MATCHES.pattern)
+_MARK = "medcolor"  # in the metadata of each file, with the key of its run: what is deleted must have it
 
 
 @dataclass(frozen=True)
@@ -85,7 +92,15 @@ def forget_run(report: dict, resume: bool | str | os.PathLike | Resume) -> None:
     """Delete what was kept of the run with this report, once its result is written; a finished run does not need it."""
     options = resume_options(resume)
     if options is not None and report.get("resume_run"):
-        shutil.rmtree(options.root / report["resume_run"], ignore_errors=True)
+        _delete_run(options.root / report["resume_run"])
+
+
+def forget_runs(folder: Path) -> None:
+    """Delete all runs kept in a folder, and the folder itself if nothing else is in it."""
+    for run, _, _ in list(_runs(folder)):
+        _delete_run(run)
+    with contextlib.suppress(OSError):  # not there, or something else is in it
+        folder.rmdir()
 
 
 class RunStore:
@@ -127,7 +142,7 @@ class RunStore:
         self._matched.update(slices)
         if self.problem:
             return
-        data = _packed(match)
+        data = _packed(match, self.key)
         try:
             if not self._make_room(len(data)):
                 self._give_up(f"the limit of {self._max_bytes} bytes is reached")
@@ -165,13 +180,12 @@ class RunStore:
         """Delete other runs, the oldest first, until `needed` bytes more are within the limit."""
         runs = sorted(_runs(self._root), key=lambda run: run[1])
         total = needed + sum(size for _, _, size in runs)
-        for folder, _, size in runs:
+        for folder, _, _ in runs:
             if total <= self._max_bytes:
                 break
-            if folder.name != self.key:
-                shutil.rmtree(folder, ignore_errors=True)
-                log.warning("resume: an older interrupted run was deleted to make room (%d bytes)", size)
-                total -= size
+            if folder.name != self.key and (freed := _delete_run(folder)):
+                log.warning("resume: an older interrupted run was deleted to make room (%d bytes)", freed)
+                total -= freed
         return total <= self._max_bytes
 
 
@@ -235,8 +249,8 @@ def _sha256(array: np.ndarray) -> str:
     return hashlib.sha256(np.ascontiguousarray(array).data).hexdigest()
 
 
-def _packed(match: Match) -> bytes:
-    """A match as a safetensors file with a check sum. Positions fit into 32 bits."""
+def _packed(match: Match, key: str) -> bytes:
+    """A match of the run `key` as a safetensors file with a check sum. Positions fit into 32 bits."""
     import torch
     from safetensors.torch import save
 
@@ -248,7 +262,7 @@ def _packed(match: Match) -> bytes:
     }
     searched = list(match.searched.items())  # JSON would make text of its keys
     what = json.dumps({**{name: values[name] for name in values if name not in tensors}, "searched": searched})
-    return save(tensors, {"what": what, "sha256": _check_sum(what, tensors)})
+    return save(tensors, {"what": what, "sha256": _check_sum(what, tensors), _MARK: key})
 
 
 def _read(path: Path, device: str) -> Match:
@@ -295,5 +309,38 @@ def _runs(root: Path) -> Iterator[tuple[Path, float, int]]:
     """Folder, time of the last change and bytes of each run; one that another process deletes meanwhile is left out."""
     for folder in root.iterdir() if root.is_dir() else ():
         with contextlib.suppress(OSError):
-            if len(folder.name) == 64 and folder.is_dir():
-                yield folder, folder.stat().st_mtime, sum(file.stat().st_size for file in folder.iterdir())
+            files = _files_of_run(folder)
+            if files:
+                yield folder, folder.stat().st_mtime, sum(file.stat().st_size for file in files)
+
+
+def _files_of_run(folder: Path) -> list[Path]:
+    """Files in a run's folder that have the names of matches; none of a folder or file that is a link."""
+    if not _KEY.fullmatch(folder.name) or folder.is_symlink() or not folder.is_dir():
+        return []
+    with os.scandir(folder) as entries:
+        names = [entry.name for entry in entries if entry.is_file(follow_symlinks=False)]
+    return [folder / name for name in names if _MATCHES.fullmatch(name) or _PARTIAL.fullmatch(name)]
+
+
+def _delete_run(folder: Path) -> int:
+    """Delete what bears the mark of this run, and the folder if nothing else is in it; returns the bytes freed."""
+    freed = 0
+    with contextlib.suppress(OSError):  # another process deletes it, too
+        for file in _files_of_run(folder):
+            if _PARTIAL.fullmatch(file.name) or _bears_mark(file, folder.name):
+                size = file.stat().st_size
+                file.unlink()
+                freed += size
+        folder.rmdir()
+    return freed
+
+
+def _bears_mark(file: Path, key: str) -> bool:
+    from safetensors import SafetensorError, safe_open
+
+    try:
+        with safe_open(str(file), "pt") as opened:
+            return (opened.metadata() or {}).get(_MARK) == key
+    except (OSError, SafetensorError, ValueError):
+        return False

@@ -90,13 +90,14 @@ def choose_window(
         percentiles: robust ends used when nothing else is there.
 
     Raises:
-        SettingsError: a given window that is empty, reversed or not finite.
+        SettingsError: a given window that is empty, reversed, not finite, or beside all values.
         InputError: the body holds a single value.
     """
     if given is not None:
         low, high = float(given[0]), float(given[1])
         if not (np.isfinite([low, high]).all() and low < high):
             raise SettingsError(f"window: expected finite LO < HI, got {low:g} {high:g}")
+        _check_overlap(finite_sample(array, mask=body), low, high)
         return Window(low, high, "given")
     sample = finite_sample(array, mask=body)
     if sample.size == 0:
@@ -113,6 +114,16 @@ def choose_window(
     if low == high:
         raise InputError(f"window: the body holds the single value {low:g}; give a window (LO HI)")
     return Window(float(low), float(high), f"percentiles {percentiles[0]:g} and {percentiles[1]:g} of the body{note}")
+
+
+def _check_overlap(sample: np.ndarray, low: float, high: float) -> None:
+    """Refuse a window that holds none of the values (n,) and lies beside them all: everything would be one grey."""
+    if sample.size and (sample.max() < low or sample.min() > high):
+        grey = "black" if sample.max() < low else "white"
+        raise SettingsError(
+            f"window {low:g} {high:g}: everything would be {grey}, the body's values go from {sample.min():g} to "
+            f"{sample.max():g}; choose a window among them, or none"
+        )
 
 
 def apply_window(values: np.ndarray, window: Window) -> np.ndarray:

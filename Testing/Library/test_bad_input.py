@@ -7,16 +7,15 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-import torch
 from volume_samples import save_nrrd
 
 from MedColorLib import Settings, Volume, colorize
 from MedColorLib.cli.main import main
-from MedColorLib.device import choose_device, memory_errors
-from MedColorLib.errors import Cancelled, DeviceError, InputError, MedColorError, SettingsError
+from MedColorLib.errors import Cancelled, InputError, MedColorError
 from MedColorLib.volume import ColorVolume
 
 pytestmark = pytest.mark.usefixtures("small_raster")
+
 
 GELATIN = (120, 74, 28)  # as OpenCV stores it
 
@@ -134,6 +133,11 @@ def test_references(folder, capfd, name, words):
         (("--device", "toaster"), "device 'toaster' is not here"),
         (("--window", "5", "5"), "window: expected finite LO < HI, got 5 5"),
         (("--window", "nan", "5"), "window: expected finite"),
+        (("--window", "1e5", "2e5"), "window 100000 200000: everything would be black, the body's values go from"),
+        (("--window", "-2e5", "-1e5"), "window -200000 -100000: everything would be white"),
+        (("-r", ""), "argument -r/--reference: the name is empty"),
+        (("--labels", ""), "argument --labels: the name is empty"),
+        (("--confidence", " "), "argument --confidence: the name is empty"),
         (("--slices", "9:12"), "slices 9:12: the volume has 3 slices (0:3)"),
         (("--slices", "2:1"), "slices: expected 0 <= START < STOP, got 2:1"),
         (("--region", "0", "1", "0", "1", "90", "99"), "lies outside the volume"),
@@ -180,6 +184,20 @@ def test_plan_finds_the_same_faults(folder, capfd):
         (("recommend", "ct.nrrd", "--library", "gone"), "library gone: no such folder"),
         (("recommend", "ct.nrrd", "--library", "nothing"), "holds no picture"),
         (("recommend", "gone.nrrd", "--library", "."), "gone.nrrd"),
+        (
+            ("recommend", "ct.nrrd", "--library", ".", "--top", "0"),
+            "--top: expected a whole number of at least 1, got 0",
+        ),
+        (("recommend", "ct.nrrd", "--library", ""), "argument --library: the name is empty"),
+        (("recommend", "", "--library", "."), "argument INPUT: the name is empty"),
+        (("colorize", "", "-r", "section.png", "-o", "o.nrrd"), "argument INPUT: the name is empty"),
+        (("colorize", "ct.nrrd", "-r", "section.png", "-o", ""), "argument -o/--output: the name is empty"),
+        (("batch", "", "-r", "section.png", "-o", "out"), "argument IN_FOLDER: the name is empty"),
+        (("batch", ".", "-r", "section.png", "-o", ""), "argument -o/--output: the name is empty"),
+        (("render", "", "-o", "o.png"), "argument VOLUME: the name is empty"),
+        (("demo", "-o", ""), "argument -o/--output: the name is empty"),
+        (("bench", "--seed", "-1"), "argument --seed: expected a whole number of at least 0, got -1"),
+        (("library", "add", ""), "argument FOLDER: the name is empty"),
         (("demo", "-o", "notes.txt"), "demo folder notes.txt: cannot be made"),
     ],
 )
@@ -195,79 +213,6 @@ def test_disk_full(folder, capfd, monkeypatch):
     assert "No space left on device" in refused(
         folder, capfd, *colorize_line("ct.nrrd", "section.png", "--report", "r.json")
     )
-
-
-class TestSettings:
-    @pytest.mark.parametrize(
-        "wrong",
-        [
-            {"preset": "best"},
-            {"features": "resnet"},
-            {"smoother": "median"},
-            {"luminance": "both"},
-            {"plane": "sagittal"},
-            {"reconstruction": "adam"},
-            {"window": (1, 1)},
-            {"window": (2, 1)},
-            {"window": (0, float("inf"))},
-            {"window": ("a", "b")},
-            {"window": 5},
-            {"window": (1, 2, 3)},
-            {"slices": (3, 3)},
-            {"slices": (-1, 3)},
-            {"slices": "ab"},
-            {"region": ((0, 1), (0, 1))},
-            {"region": ((0, 1), (0, 1), (2, 2))},
-            {"region": 7},
-            {"seed": -1},
-            {"seed": 2**63},
-            {"seed": 1.5},
-            {"batch": 0},
-            {"batch": 2.0},
-            {"coherence_mm": float("nan")},
-            {"coherence_mm": -0.1},
-        ],
-    )
-    def test_wrong_values_are_named(self, wrong):
-        with pytest.raises(SettingsError, match=next(iter(wrong))):
-            Settings(**wrong)
-
-    def test_through_a_dictionary_and_back(self):
-        settings = Settings(window=(1, 2), slices=(3, 4), region=((0, 1), (2, 3), (4, 5)), gamma=True, seed=5)
-        assert Settings.from_dict(settings.to_dict()) == settings
-        with pytest.raises(SettingsError, match="settings: unknown colour; known are batch, "):
-            Settings.from_dict({"colour": 1})
-        with pytest.raises(SettingsError, match="preset"):
-            Settings.from_dict({"preset": "best"})
-
-    def test_what_auto_means(self):
-        assert Settings(preset="full").resolved_smoother == "fgs"
-        assert Settings(preset="full", luminance="paper").resolved_gamma is True
-        assert Settings(preset="full", luminance="keep").resolved_gamma is False
-        assert Settings(preset="draft").resolved_smoother == "regression"
-        assert Settings(smoother="wls").resolved_smoother == "wls" and Settings(gamma=True).resolved_gamma is True
-
-
-class TestDevices:
-    def test_those_that_are_here(self):
-        assert choose_device("cpu") == "cpu"
-        assert choose_device("auto") in ("cpu", "cuda", "mps")
-
-    @pytest.mark.parametrize("name", ["", "gpu", "CPU", "cuda:99", "cuda:x", "cuda:-1", "cpu:0", "tpu"])
-    def test_those_that_are_not(self, name):
-        with pytest.raises(DeviceError, match=r"is not here; present: cpu.*Use --device auto or one of these"):
-            choose_device(name)
-
-    def test_out_of_memory_names_the_remedy(self):
-        with (
-            pytest.raises(DeviceError, match=r"device cuda: .* too small; .* --preset draft or --device cpu"),
-            memory_errors("cuda"),
-        ):
-            raise torch.cuda.OutOfMemoryError("CUDA out of memory. Tried to allocate 20.00 MiB")
-
-    def test_other_errors_pass(self):
-        with pytest.raises(RuntimeError, match="something else"), memory_errors("cpu"):
-            raise RuntimeError("something else")
 
 
 class TestVolumes:
@@ -337,3 +282,19 @@ def test_all_errors_but_the_users_own_decision_are_told_alike():
     classes = [c for c in vars(errors).values() if isinstance(c, type) and issubclass(c, Exception)]
     assert all(issubclass(c, MedColorError) for c in classes if c is not Cancelled)
     assert not issubclass(Cancelled, MedColorError)
+
+
+@pytest.mark.parametrize("error", [MemoryError("9 TiB"), RuntimeError("DefaultCPUAllocator: can't allocate memory")])
+def test_memory_that_ends_anywhere_is_one_sentence(folder, capfd, monkeypatch, error):
+    def ended(*_, **__):
+        raise error
+
+    monkeypatch.setattr("MedColorLib.io.files.write_color_volume", ended)
+    assert (
+        main(
+            ["colorize", "ct.nrrd", "-r", "section.png", "--preset", "draft", "--features", "embedded", "-o", "o.nrrd"]
+        )
+        == 2
+    )
+    told = capfd.readouterr().err
+    assert told.count("\n") == 1 and "memory of this machine is too small; close other programs" in told

@@ -17,7 +17,7 @@ from scipy.ndimage import binary_dilation, binary_erosion
 from MedColorLib import Settings, Volume, colorize
 from MedColorLib.color.difference import ciede2000
 from MedColorLib.color.lab import gray_to_lightness, srgb_to_lab
-from MedColorLib.errors import Cancelled, DeviceError, InputError, OutputError
+from MedColorLib.errors import Cancelled, DeviceError, InputError, MemoryTooSmall, OutputError
 from MedColorLib.matching import vote
 from MedColorLib.phantom import section
 from MedColorLib.report import write_report
@@ -218,12 +218,12 @@ class TestProgressAndCancel:
 
 
 class TestMemory:
-    def short_of_memory(self, monkeypatch, limit):
+    def short_of_memory(self, monkeypatch, limit, error=None):
         matched_colors = vote.matched_colors
 
         def limited(field, *rest):
             if len(field) > limit:
-                raise torch.cuda.OutOfMemoryError("CUDA out of memory")
+                raise error or torch.cuda.OutOfMemoryError("CUDA out of memory")
             return matched_colors(field, *rest)
 
         monkeypatch.setattr(vote, "matched_colors", limited)
@@ -237,6 +237,19 @@ class TestMemory:
             "batches of 2 slices from here on",
             "batches of 1 slices from here on",
         ]
+
+    @pytest.mark.parametrize("error", [MemoryError(), RuntimeError("DefaultCPUAllocator: can't allocate memory")])
+    def test_smaller_batches_on_a_cpu_too(self, ct, colored, error, monkeypatch):
+        self.short_of_memory(monkeypatch, 2, error)
+        assert colorize(part(ct), [ct.reference], settings(batch=4)).rgb.tobytes() == colored.rgb.tobytes()
+
+    def test_memory_that_ends_elsewhere(self, ct, monkeypatch):
+        def ended(*_, **__):
+            raise MemoryError("Unable to allocate 9 TiB")
+
+        monkeypatch.setattr("MedColorLib.run.paint.Painter.add", ended)
+        with pytest.raises(MemoryTooSmall, match="device cpu: its memory is too small"):
+            colorize(part(ct), [ct.reference], DRAFT)
 
     def test_not_even_one_slice_fits(self, ct, monkeypatch):
         self.short_of_memory(monkeypatch, 0)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import multiprocessing
 import os
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -28,6 +30,19 @@ ROOT = Path(__file__).resolve().parents[3]
 
 def tasks_of(folder: Path, *what: str) -> list[dict]:
     return [{"name": f"task{n}", "do": do, "seen": str(folder / "seen")} for n, do in enumerate(what)]
+
+
+def answer(server: socket.socket, says: bytes | str | None) -> None:
+    """Say the same to everybody (b"": hang up; "echo": what was said), until the server is closed."""
+    held = []
+    with contextlib.suppress(OSError):
+        while True:
+            peer = server.accept()[0]
+            held.append(peer)
+            if says == b"":
+                peer.close()
+            elif says:
+                peer.sendall(peer.recv(1 << 16) if says == "echo" else says)
 
 
 def seen_in(folder: Path) -> list[str]:
@@ -176,8 +191,23 @@ class TestCluster:
     def test_no_scheduler_answers(self, monkeypatch):
         pytest.importorskip("distributed")
         monkeypatch.setattr(batch_workers, "CONNECT_SECONDS", 1)
+        monkeypatch.setattr(batch_workers, "ANSWER_SECONDS", 0.5)
         for address in ("tcp://127.0.0.1:1", "nonsense://x", "x"):
             with pytest.raises(DeviceError, match=f"scheduler {address}: no Dask scheduler answers there within 1 s"):
+                run_on_cluster(work, [], address)
+
+    @pytest.mark.parametrize(
+        "says", [None, b"", b"HTTP/1.1 400 Bad Request\r\n\r\n" * 50, bytes(5000), b"\xff" * 64, "echo"]
+    )
+    def test_a_peer_that_is_silent_or_speaks_garbage(self, says, monkeypatch):
+        """In time: `ANSWER_SECONDS` bounds it, and what would wait for ever is never reached."""
+        distributed = pytest.importorskip("distributed")
+        monkeypatch.setattr(batch_workers, "ANSWER_SECONDS", 1)
+        monkeypatch.setattr(distributed, "Client", lambda *_, **__: pytest.fail("would not come back"))
+        with socket.create_server(("127.0.0.1", 0)) as server:
+            threading.Thread(target=answer, args=(server, says), daemon=True).start()
+            address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
+            with pytest.raises(DeviceError, match=f"scheduler {address}: no Dask scheduler answers there within 10 s"):
                 run_on_cluster(work, [], address)
 
     def test_stopped_when_the_caller_stops_asking(self, tmp_path):

@@ -107,6 +107,17 @@ def test_the_limit_deletes_what_was_not_read_for_the_longest_time(folder, monkey
     assert [reference_features(Counted(), picture(seed), LAYERS)[1] for seed in (0, 2, 1)] == [True, True, False]
 
 
+def test_what_is_no_kept_feature_is_never_deleted(folder, monkeypatch):
+    monkeypatch.setattr(kept, "MOST_BYTES", 1)
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in ("mine.safetensors", f"{'x' * 64}.safetensors", "notes.txt"):
+        (folder / name).write_bytes(bytes(100))
+    (folder / f"{'a' * 64}.safetensors").symlink_to(folder / "mine.safetensors")
+    (folder / f"{'b' * 64}.safetensors").write_bytes(bytes(100))
+    kept._make_room(folder, 50)
+    assert not (folder / f"{'b' * 64}.safetensors").exists() and len(list(folder.iterdir())) == 4
+
+
 def test_embedded_features_are_not_kept(folder):
     assert reference_features(Embedded(), picture(), LAYERS)[1] is False
     assert not folder.exists()

@@ -205,6 +205,13 @@ def test_a_verified_download_survives_a_failed_conversion(server, cache, monkeyp
     assert len(server.requests) == 1
 
 
+def test_a_file_that_a_user_put_there_stays(server, cache):
+    cache.mkdir(parents=True, exist_ok=True)
+    (cache / "narrow.pth").write_bytes(server.content)
+    weights.fetch_weights()
+    assert (cache / "narrow.pth").read_bytes() == server.content and not server.requests
+
+
 def test_what_has_no_checksum_is_not_fetched(server):
     with pytest.raises(WeightsError, match="gray-vgg19"):
         weights.fetch_weights("gray-vgg19")

@@ -10,7 +10,7 @@ import pytest
 
 from MedColorLib.errors import InputError
 from MedColorLib.io.pictures import quiet_cv2
-from MedColorLib.references.photograph import read_picture
+from MedColorLib.references.pictures import read_picture
 
 
 class Log:

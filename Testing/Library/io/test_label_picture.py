@@ -46,6 +46,15 @@ class TestLabelPicture:
                 read_label_picture(tmp_path / name)
 
 
+def test_more_pixels_than_a_photograph_may_have_are_refused_by_the_header(tmp_path, monkeypatch):
+    whole = bytearray(png(np.zeros((4, 4), np.uint8), 8, False, np.random.default_rng(0)))
+    whole[16:24] = struct.pack(">II", 40_000, 20_000)
+    (tmp_path / "bomb.png").write_bytes(whole)
+    monkeypatch.setattr("cv2.imdecode", lambda *_: pytest.fail("was decoded"))
+    with pytest.raises(InputError, match=r"bomb\.png: 40000 x 20000 pixels, more than 178 megapixels"):
+        read_label_picture(tmp_path / "bomb.png")
+
+
 def png(values, bits, palette, rng) -> bytes:
     """A PNG by the letter of its specification: one number per pixel, packed, with a palette of chance colours."""
 

@@ -6,9 +6,11 @@ import http.server
 import threading
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from library_samples import NAME, SHAPE, Server, encoded
+from pictures_samples import SHAPE as PICTURE_SHAPE
 
 from MedColorLib.references import visible_human
 
@@ -41,3 +43,13 @@ def server(monkeypatch, photographs):
         yield handler
         running.shutdown()
         thread.join()
+
+
+@pytest.fixture
+def colors() -> np.ndarray:
+    """(40, 60, 3): four quarters and a corner, so that no turn or flip leaves it the same; smooth."""
+    picture = np.zeros((*PICTURE_SHAPE, 3), np.float32)
+    picture[:20, :30], picture[20:, :30] = (200, 40, 30), (40, 160, 50)
+    picture[:20, 30:], picture[20:, 30:] = (30, 50, 200), (220, 210, 70)
+    picture[3:9, 4:14] = 250
+    return np.rint(cv2.GaussianBlur(picture, (0, 0), 2)).astype(np.uint8)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import re
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -22,16 +23,17 @@ from MedColorLib.references.visible_human import check_png
 pytestmark = pytest.mark.usefixtures("cache")
 
 
-class TestAdd:
-    @pytest.fixture
-    def folder(self, tmp_path):
-        (tmp_path / "My Atlas" / "more").mkdir(parents=True)
-        for number, level in ((2, -0.4), (10, 0.1)):
-            cv2.imwrite(str(tmp_path / "My Atlas" / f"plate {number}.png"), section(level)[..., ::-1])
-        big = cv2.resize(section(0.5), (2480, 2640))
-        cv2.imwrite(str(tmp_path / "My Atlas" / "more" / "big.jpg"), big[..., ::-1])
-        return tmp_path / "My Atlas"
+@pytest.fixture
+def folder(tmp_path):
+    (tmp_path / "My Atlas" / "more").mkdir(parents=True)
+    for number, level in ((2, -0.4), (10, 0.1)):
+        cv2.imwrite(str(tmp_path / "My Atlas" / f"plate {number}.png"), section(level)[..., ::-1])
+    big = cv2.resize(section(0.5), (2480, 2640))
+    cv2.imwrite(str(tmp_path / "My Atlas" / "more" / "big.jpg"), big[..., ::-1])
+    return tmp_path / "My Atlas"
 
+
+class TestAdd:
     def test_pictures_are_cut_and_bounded(self, folder, cache):
         name, index = library.add_library(folder, credit="Somebody")
         assert name == "my-atlas" and index["complete"] and index["credit"] == "Somebody"
@@ -181,3 +183,91 @@ def test_the_index_is_plain_json(tmp_path, cache):
     name, index = library.add_library(tmp_path / "one")
     text = (cache / name / "library.json").read_text(encoding="utf-8")
     assert json.loads(text) == index and str(tmp_path) not in text
+
+
+class TestOnlyItsOwn:
+    """What a library deletes is what MedColor made, and what it reads lies in it."""
+
+    @pytest.fixture
+    def atlas(self, folder, cache) -> Path:
+        name, _ = library.add_library(folder)
+        return cache / name
+
+    @pytest.mark.parametrize("damaged", [False, True])
+    def test_files_of_others_stay(self, atlas, damaged, caplog):
+        (atlas / "notes.txt").write_text("mine")
+        (atlas / "own-photograph.png").write_bytes(b"mine")
+        (atlas / "thesis").mkdir()
+        if damaged:
+            (atlas / "library.json").write_text("{")
+        library.remove_library(atlas.name)
+        assert sorted(p.name for p in atlas.iterdir()) == ["notes.txt", "own-photograph.png", "thesis"]
+        assert "3 files that are not MedColor's stay" in caplog.text
+
+    def test_a_folder_without_an_index_is_none(self, cache):
+        (cache / "photos").mkdir(parents=True)
+        (cache / "photos" / "mine.png").write_bytes(b"mine")
+        with pytest.raises(OutputError, match="none of MedColor's"):
+            library.remove_library("photos")
+        assert (cache / "photos" / "mine.png").exists()
+
+    def test_links_are_not_followed(self, atlas, tmp_path):
+        elsewhere = tmp_path / "elsewhere"
+        atlas.rename(elsewhere)
+        atlas.symlink_to(elsewhere)
+        count = len(list(elsewhere.iterdir()))
+        with pytest.raises(OutputError, match="is a link, which is not followed"):
+            library.remove_library(atlas.name)
+        assert len(list(elsewhere.iterdir())) == count
+
+    @pytest.mark.parametrize(
+        "name", ["../secret.png", "/etc/secret.png", "sub/secret.png", "..", "C:secret.png", "a\\b.png", ""]
+    )
+    def test_pictures_elsewhere_are_not_read_or_deleted(self, atlas, name, tmp_path):
+        (atlas.parent / "secret.png").write_bytes(b"mine")
+        index = json.loads((atlas / "library.json").read_text())
+        index["pictures"][0]["file"] = name
+        (atlas / "library.json").write_text(json.dumps(index))
+        with pytest.raises(InputError, match="which lies outside of it; run `medcolor library remove"):
+            load_references([atlas.name])
+        library.remove_library(atlas.name)
+        assert (atlas.parent / "secret.png").exists() and not atlas.exists()
+
+    def test_a_link_leads_elsewhere(self, atlas, tmp_path):
+        index = json.loads((atlas / "library.json").read_text())
+        file = atlas / index["pictures"][0]["file"]
+        file.rename(tmp_path / "elsewhere.png")
+        file.symlink_to(tmp_path / "elsewhere.png")
+        with pytest.raises(InputError, match="which lies outside of it"):
+            load_references([atlas.name])
+
+    @pytest.mark.parametrize(
+        "text", ["{}", "[]", "null", "3", '{"pictures": 3}', "[" * 5000, '{"pictures": [{"file": 3}]}']
+    )
+    def test_any_index_that_is_none(self, atlas, text):
+        (atlas / "library.json").write_text(text)
+        with pytest.raises(InputError, match="missing or damaged"):
+            library.read_index(atlas)
+        assert library.list_libraries() == []
+
+    def test_a_folder_of_photographs_beside_another_programs_index(self, folder):
+        before = load_references([folder])
+        (folder / "library.json").write_text('{"name": "of another program"}')
+        for one, other in zip(before, load_references([folder])):
+            np.testing.assert_array_equal(one.mask, other.mask)
+
+    def test_a_damaged_picture_is_left_out_and_the_others_keep_their_share(self, atlas):
+        index = library.read_index(atlas)
+        (atlas / index["pictures"][0]["file"]).write_bytes(b"damaged")
+        found = load_references([atlas.name])
+        assert [r.removed for r in found] == [e["removed"] for e in index["pictures"][1:]]
+        assert "left out of library" in found[0].notes[0]
+
+
+def test_what_can_be_fetched_is_said():
+    from MedColorLib.references.visible_human import SOURCES
+
+    assert tuple(SOURCES) == library.FETCHED
+    for ask in (library.library_folder, lambda name: load_references([name]), library.remove_library):
+        with pytest.raises(InputError, match="run `medcolor library fetch visible-human-male` to get it"):
+            ask("visible-human-male")

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import os
+import sys
+
 import cv2
 import numpy as np
 import pytest
 import SimpleITK as sitk
+from PIL import Image
 
 from MedColorLib import ColorVolume, Settings, Volume, colorize, make_plan, read_color_volume, write_color_volume
 from MedColorLib.color.difference import ciede2000
@@ -118,6 +122,19 @@ def test_a_volume_too_large_is_refused_before_it_is_read(colored, tmp_path, monk
         load_references([path])
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="names are text here, not bytes")
+def test_a_path_that_is_not_utf8(colored, ct, tmp_path):
+    path = tmp_path / os.fsdecode(b"F\xe4rbung.nrrd")
+    vector_file(tmp_path / "plain.nrrd", colored.rgb, colored.ijk_to_ras)
+    (tmp_path / "plain.nrrd").rename(path)
+    assert len(load_references([path])) == len(load_references([colored]))
+    folder = tmp_path / os.fsdecode(b"F\xe4rbungen")
+    folder.mkdir()
+    cv2.imwrite(str(tmp_path / "p.png"), ct.reference[..., ::-1])
+    (tmp_path / "p.png").rename(folder / os.fsdecode(b"Schl\xe4fe.png"))
+    assert len(load_references([folder])) == 1
+
+
 class TestFolders:
     def test_natural_order_and_different_sizes(self, tmp_path):
         for number in (10, 9, 1):
@@ -167,3 +184,114 @@ def test_a_colour_volume_gives_its_own_luminance_its_colours_back(ct, colored):
     one = colorize(grey, [np.pad(colored.rgb[3], ((4, 4), (4, 4), (0, 0)))], settings)
     after_one = ciede2000(srgb_to_lab(one.rgb[body] / 255.0), lab[body])
     assert np.median(errors) < 1 and errors.mean() < 0.3 * after_one.mean()
+
+
+class TestPicturesOfAFolder:
+    @pytest.fixture
+    def folder(self, tmp_path):
+        folder = tmp_path / "plates"
+        folder.mkdir()
+        for name in ("b.png", "d.webp", "f.gif"):
+            Image.fromarray(section(-0.4)).save(folder / name)
+        for name in ("a.jpg", "e.tif"):
+            (folder / name).write_bytes(b"no picture")
+        (folder / "._b.png").write_bytes(b"no picture")
+        return folder
+
+    def test_broken_ones_are_left_out_and_said(self, folder, ct, caplog):
+        found = load_references([folder])
+        assert [r.name for r in found] == ["b", "d", "f"]
+        assert [m for m in caplog.messages if "left out of plates: reference a.jpg: not a picture" in m]
+        assert len(caplog.messages) == 2
+        settings = Settings(preset="draft", features="embedded", slices=(4, 5))
+        text = make_plan(ct.volume, [folder], settings).text()
+        assert text.count("left out of plates") == 2 and "reference e.tif: not a picture" in text
+        notes = [r["notes"] for r in colorize(ct.volume, [folder], settings).report["references"]]
+        assert [len(n) for n in notes] == [2, 0, 0] and "a.jpg" in notes[0][0]
+
+    def test_a_broken_one_by_itself_is_an_error(self, folder):
+        with pytest.raises(InputError, match=r"reference a\.jpg: not a picture"):
+            load_references([folder / "b.png", folder / "a.jpg"])
+
+    def test_all_broken_is_an_error(self, folder):
+        for name in ("b.png", "d.webp", "f.gif"):
+            (folder / name).write_bytes(b"")
+        with pytest.raises(InputError, match=r"folder plates: none of its 5 pictures can be used; the first: .*a\.jpg"):
+            load_references([folder])
+
+    def test_notes_of_single_pictures(self, folder):
+        exif = Image.Exif()
+        exif[0x0112] = 6
+        for number in range(3):
+            Image.fromarray(section(-0.4)).save(folder / f"turned{number}.png", exif=exif)
+        found = load_references([folder])
+        assert sum("turned upright" in note for r in found for note in r.notes) == 3
+        assert "left out of plates: reference a.jpg" in describe_references(found)
+
+    def test_two_of_one_name_are_told_apart(self, tmp_path, ct):
+        paths = []
+        for number, level in enumerate((-0.45, 0.1, 0.55)):
+            (tmp_path / str(number)).mkdir()
+            paths.append(tmp_path / str(number) / "section.png")
+            Image.fromarray(section(level)).save(paths[-1])
+        assert [r.name for r in load_references(paths)] == ["section", "section (2)", "section (3)"]
+        report = colorize(ct.volume, paths, Settings(preset="draft", features="embedded")).report
+        named = set(report["reference_of_slice"].values())
+        assert (
+            len(named) > 1
+            and named == set(report["reference_lies"])
+            and named <= {r["name"] for r in report["references"]}
+        )
+
+
+class TestLargePictures:
+    """A photograph larger than needed gives what a smaller one gives, and its labels still fit."""
+
+    @pytest.fixture
+    def large(self) -> np.ndarray:
+        return cv2.resize(section(-0.4), (4000, 3600), interpolation=cv2.INTER_CUBIC)
+
+    def test_kept_at_most_so_long_and_of_the_same_colors(self, large, tmp_path):
+        Image.fromarray(large).save(tmp_path / "large.png")
+        (one,), (array,) = load_references([tmp_path / "large.png"]), load_references([large])
+        small = load_references([cv2.resize(large, (1000, 900), interpolation=cv2.INTER_AREA)])[0]
+        for found in (one, array):
+            assert max(found.mask.shape) == 1024 and found.frame.shape == (3600, 4000)
+            assert found.removed == pytest.approx(small.removed, abs=0.01)
+            mean = found.rgb[found.mask].mean(axis=0)
+            np.testing.assert_allclose(mean, small.rgb[small.mask].mean(axis=0), atol=1.5)
+            sides = [np.diff(ends)[0] / size for ends, size in zip((found.frame.rows, found.frame.cols), (3600, 4000))]
+            expected = [np.diff(e)[0] / s for e, s in zip((small.frame.rows, small.frame.cols), small.frame.shape)]
+            np.testing.assert_allclose(sides, expected, atol=0.006)
+
+    def test_a_mask_is_drawn_on_the_picture_itself(self, large, tmp_path):
+        tissue = np.zeros(large.shape[:2], np.uint8)
+        tissue[800:2800, 1000:3000] = 255
+        cv2.imwrite(str(tmp_path / "mask.png"), tissue)
+        Image.fromarray(large).save(tmp_path / "large.png")
+        for item in (tmp_path / "large.png", large):
+            (found,) = load_references([item], masks=[str(tmp_path / "mask.png")])
+            assert found.mask.all() and min(found.mask.shape) >= 1023
+            assert np.abs(np.subtract((found.frame.rows, found.frame.cols), ((800, 2800), (1000, 3000)))).max() <= 2
+
+    def test_transparency_joins_what_is_found(self, tmp_path):
+        rgba = np.dstack([section(-0.4), np.full(section(-0.4).shape[:2], 255, np.uint8)])
+        rgba[:, : rgba.shape[1] // 2, 3] = 0
+        Image.fromarray(rgba).save(tmp_path / "half.png")
+        (whole,), (half,) = load_references([section(-0.4)]), load_references([tmp_path / "half.png"])
+        assert abs((1 - half.removed) / (1 - whole.removed) - 0.5) < 0.08
+        assert half.frame.cols[0] >= rgba.shape[1] // 2 - 1
+
+    def test_labels_are_drawn_on_the_picture_itself(self, large, ct, tmp_path):
+        from MedColorLib.matching.tissue_guard import Guard
+
+        Image.fromarray(large).save(tmp_path / "large.png")
+        labels = np.zeros(large.shape[:2], np.uint8)
+        labels[:, 2000:] = 1
+        cv2.imwrite(str(tmp_path / "labels.png"), labels)
+        halves = np.zeros(ct.volume.array.shape, np.uint8)
+        halves[:, :, 28:] = 1
+        guard = Guard(Volume(halves, ct.volume.ijk_to_ras), [str(tmp_path / "labels.png")])
+        settings = Settings(preset="draft", features="embedded", slices=(5, 6))
+        report = colorize(ct.volume, [tmp_path / "large.png"], settings, guard=guard).report
+        assert max(report["guard"]["without_own_match"].values(), default=0) < 0.5

@@ -9,7 +9,8 @@ from scipy.ndimage import binary_erosion, binary_fill_holes
 
 from MedColorLib.errors import InputError
 from MedColorLib.phantom import section
-from MedColorLib.references.photograph import on_grid, prepare_reference, read_picture
+from MedColorLib.references.photograph import on_grid, prepare_reference
+from MedColorLib.references.pictures import read_picture
 from MedColorLib.references.tissue_mask import tissue_mask
 from MedColorLib.scan.grid import MARGIN, choose_grid
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import logging
 import os
+import shutil
 import time
 from pathlib import Path
 
@@ -277,7 +278,7 @@ class TestStore:
         store = RunStore(Resume(tmp_path / "runs"), "k" * 64)
         match = analogy.Match(3, torch.zeros(1, 2, 2, dtype=torch.int64), torch.zeros(1, 2, 2), None, {3: "exact"})
         store.save([1], 0, match)
-        resume_module.shutil.rmtree(tmp_path / "runs")
+        shutil.rmtree(tmp_path / "runs")
         store.save([2], 0, match)
         assert store.problem is None and store.load([2], 0, "cpu") is not None
 
@@ -309,3 +310,58 @@ class TestStore:
     def test_default_folder_is_beside_the_weights(self, monkeypatch, tmp_path):
         monkeypatch.setattr("MedColorLib.features.weights.cache_folder", lambda: tmp_path / "weights")
         assert Resume().root == tmp_path / "runs" and Resume(tmp_path).root == tmp_path
+
+
+class TestOnlyItsOwn:
+    """A folder of runs may be any folder; what is not MedColor's stays."""
+
+    def matches(self, store: RunStore, count: int = 1) -> None:
+        for number in range(count):
+            match = analogy.Match(3, torch.zeros(1, 16, 16, dtype=torch.int64), torch.zeros(1, 16, 16), None, {})
+            store.save((number,), 0, match)
+
+    def test_a_folder_with_a_name_as_long_as_a_key(self, tmp_path):
+        for name in ("x" * 64, "0123456789abcdef" * 4):
+            (tmp_path / name).mkdir()
+            (tmp_path / name / "thesis.txt").write_text("mine")
+            (tmp_path / name / "000000-000003-4-0.safetensors").write_bytes(bytes(5000))
+        store = RunStore(Resume(tmp_path, 6000), "f" * 64)
+        self.matches(store, 4)
+        for name in ("x" * 64, "0123456789abcdef" * 4):
+            assert sorted(p.name for p in (tmp_path / name).iterdir()) == [
+                "000000-000003-4-0.safetensors",
+                "thesis.txt",
+            ]
+
+    def test_what_lies_in_a_run_and_is_not_of_it_stays(self, tmp_path):
+        self.matches(RunStore(Resume(tmp_path), "a" * 64), 2)
+        (tmp_path / ("a" * 64) / "notes.txt").write_text("mine")
+        forget_run({"resume_run": "a" * 64}, tmp_path)
+        assert [p.name for p in (tmp_path / ("a" * 64)).iterdir()] == ["notes.txt"]
+
+    def test_matches_of_another_run_are_not_of_this_one(self, tmp_path):
+        self.matches(RunStore(Resume(tmp_path), "a" * 64))
+        (tmp_path / ("a" * 64)).rename(tmp_path / ("b" * 64))
+        forget_run({"resume_run": "b" * 64}, tmp_path)
+        assert len(files_of(tmp_path)) == 1
+
+    def test_links_are_not_followed(self, tmp_path):
+        self.matches(RunStore(Resume(tmp_path / "elsewhere"), "a" * 64))
+        (tmp_path / "runs").mkdir()
+        (tmp_path / "runs" / ("a" * 64)).symlink_to(tmp_path / "elsewhere" / ("a" * 64))
+        (tmp_path / "runs" / ("b" * 64)).mkdir()
+        (tmp_path / "runs" / ("b" * 64) / "000000-000000-1-0.safetensors").symlink_to(
+            files_of(tmp_path / "elsewhere")[0]
+        )
+        self.matches(RunStore(Resume(tmp_path / "runs", 10), "c" * 64))
+        for key in ("a" * 64, "b" * 64):
+            forget_run({"resume_run": key}, tmp_path / "runs")
+        assert len(files_of(tmp_path / "elsewhere")) == 1 and (tmp_path / "runs" / ("a" * 64)).is_symlink()
+
+    @pytest.mark.parametrize("key", ["..", "../elsewhere", "", "A" * 64])
+    def test_a_report_that_names_no_run(self, key, tmp_path):
+        (tmp_path / "elsewhere").mkdir()
+        (tmp_path / "elsewhere" / "mine").write_text("mine")
+        (tmp_path / "runs").mkdir()
+        forget_run({"resume_run": key}, tmp_path / "runs")
+        assert (tmp_path / "elsewhere" / "mine").exists() and (tmp_path / "runs").exists()

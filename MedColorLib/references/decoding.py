@@ -1,0 +1,238 @@
+"""Stage *references*: the header of a picture file and its pixels, by Pillow or OpenCV, within bounds.
+
+Sizes are known from the header before memory is taken. Damage of any kind becomes an InputError with the reason alone.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import struct
+import sys
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, BinaryIO
+
+import numpy as np
+
+from ..device import is_out_of_memory
+from ..errors import InputError
+from ..io.quiet import quiet_cv2
+from .to_srgb import TAG_GROUPS
+
+if TYPE_CHECKING:
+    from PIL import Image
+
+log = logging.getLogger("MedColor")
+
+# fmt: off
+# Of Pillow's: those that run no other program and hold no volume. TGA has no mark of its own: only under its name.
+_FORMATS = (
+    "PNG", "JPEG", "MPO", "TIFF", "BMP", "DIB", "WEBP", "AVIF", "GIF", "JPEG2000", "PPM", "PSD", "SGI", "SUN", "PCX",
+    "QOI", "DDS", "ICO", "ICNS",
+)
+# fmt: on
+MAX_PIXELS = 178_956_970  # of more, Pillow, too, takes a picture for a decompression bomb
+
+_UNREADABLE = "not a picture that can be read; use PNG, JPEG or TIFF"
+IS_GREY = "a grey picture; the reference must be a colour photograph (RGB)"
+_MAX_FILE_BYTES = 2 << 30  # for OpenCV; MAX_PIXELS of four channels with 16 bits and no compression are less
+_TIFF_MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+# PNG, JPEG, GIF, BMP, RIFF: what Pillow does not take for one is damaged; OpenCV would take gigabytes for some of them.
+_PILLOWS = (b"\x89PNG", b"\xff\xd8", b"GIF8", b"BM", b"RIFF")
+_HEIF_BRANDS = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1")
+_FLOATING = {
+    b"#?RADIANCE": "Radiance HDR",
+    b"#?RGBE": "Radiance HDR",
+    b"PF\n": "PFM",
+    b"Pf\n": "PFM",
+    b"\x76\x2f\x31\x01": "OpenEXR",
+}
+ORIENTATION = 0x0112
+_SHORT = 3  # TIFF's number of 16-bit values
+
+
+def opened(stream: BinaryIO, name: str) -> Image.Image | None:
+    """The header, by Pillow; None where Pillow knows no such picture."""
+    from PIL import Image, UnidentifiedImageError
+
+    Image.init()
+    formats = [kind for kind in _FORMATS if kind in Image.OPEN]
+    if name.lower().endswith(".tga"):
+        formats.append("TGA")
+    try:
+        return Image.open(stream, formats=formats)
+    except UnidentifiedImageError:
+        return None
+    except Image.DecompressionBombError as error:
+        raise InputError(_too_large(_one_line(error))) from error
+
+
+def check_size(width: int, height: int) -> None:
+    """Refuse more than MAX_PIXELS, and nothing at all.
+
+    Raises:
+        InputError: with the remedy.
+    """
+    if width * height > MAX_PIXELS:
+        raise InputError(_too_large(f"{width} x {height} pixels"))
+    if width < 1 or height < 1:
+        raise InputError("it has no pixels; export it again")
+
+
+def _too_large(what: str) -> str:
+    limit = MAX_PIXELS // 1_000_000
+    return f"{what}: more than {limit} megapixels are not read; make it smaller, 2000 pixels are enough"
+
+
+def checked_unknown(stream: BinaryIO) -> dict:
+    """Refuse, by its header, what OpenCV cannot read or not within bounds; else the tags, if it is a TIFF."""
+    stream.seek(0)
+    start = stream.read(16)
+    for magic, kind in _FLOATING.items():
+        if start.startswith(magic):
+            raise InputError(f"{kind} holds floating point; save it with 8 or 16 bits per channel, as PNG or TIFF")
+    if start[4:8] == b"ftyp" and start[8:12] in _HEIF_BRANDS:
+        raise InputError("a HEIC picture, as telephones store them; export it as JPEG or PNG")
+    if start.startswith(_PILLOWS):
+        raise InputError(_UNREADABLE)
+    if start[:4] not in _TIFF_MAGIC:
+        return {}
+    tags = _tiff_tags(stream)
+    width, height = tags.get(256), tags.get(257)
+    if not isinstance(width, int) or not isinstance(height, int):
+        raise InputError(_UNREADABLE)
+    check_size(width, height)
+    return tags
+
+
+def _tiff_tags(stream: BinaryIO) -> dict:
+    """Number -> value of the first directory."""
+    from PIL.TiffImagePlugin import ImageFileDirectory_v2
+
+    with decoding():
+        stream.seek(0)
+        start = stream.read(8)
+        start += stream.read(8) if b"+" in start[2:4] else b""  # BigTIFF
+        tags = ImageFileDirectory_v2(start)
+        stream.seek(tags.next)
+        tags.load(stream)
+        return dict(tags)
+
+
+def exif_of(image: Image.Image) -> dict:
+    """Orientation, and what tells the colour space; without what is damaged."""
+    found: dict = {}
+    for part in (None, *TAG_GROUPS):
+        try:
+            tags = image.getexif()
+            found.update(tags if part is None else {part: dict(tags.get_ifd(part))})
+        except MemoryError:
+            raise
+        except Exception as error:  # tags are written by many hands, and their reader promises nothing
+            log.debug("EXIF: %s", _one_line(error))
+    return found
+
+
+def has_16_bits(image: Image.Image) -> bool:
+    """Whether its channels are stored with 16 bits, of which Pillow gives 8."""
+    arguments = image.tile[0][3] if image.tile else ""
+    raw = arguments if isinstance(arguments, str) else next((a for a in arguments or () if isinstance(a, str)), "")
+    return image.mode in ("RGB", "RGBA") and image.format in ("PNG", "TIFF") and ";16" in raw
+
+
+def pages(image: Image.Image) -> tuple[str, ...]:
+    """A note where a file holds several pictures; a camera's MPO holds previews beside the first, an icon sizes."""
+    with decoding():
+        count = 1 if image.format in ("MPO", "ICO", "ICNS") else getattr(image, "n_frames", 1)
+    return (f"the first of {count} pictures in the file",) if count > 1 else ()
+
+
+def by_opencv(stream: BinaryIO) -> np.ndarray:
+    """(h, w, 3 or 4) uint8 or uint16 in the order B, G, R[, A], as it is stored."""
+    import cv2
+
+    size = stream.seek(0, os.SEEK_END)
+    stream.seek(0)
+    if not 0 < size <= _MAX_FILE_BYTES:
+        raise InputError(_UNREADABLE)
+    data = np.empty(size, np.uint8)
+    data = data[: stream.readinto(data.data)]
+    flags = cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION
+    with decoding(), quiet_cv2(), quiet_stderr():
+        values = cv2.imdecode(_as_stored(data), flags)
+    if values is None:
+        raise InputError(_UNREADABLE)
+    if values.ndim == 2 or values.shape[2] < 3:
+        raise InputError(IS_GREY)
+    if values.dtype not in (np.uint8, np.uint16):
+        raise InputError(f"{values.dtype} channels; save it with 8 or 16 bits per channel")
+    check_size(*values.shape[1::-1])
+    return values
+
+
+def _as_stored(data: np.ndarray) -> np.ndarray:
+    """The bytes (n,) of a file. A TIFF's orientation becomes 1, in place: which ones OpenCV undoes depends on its version."""
+    if data[:4].tobytes() not in _TIFF_MAGIC:
+        return data
+    order, big = ("<" if data[0] == ord("I") else ">"), ord("+") in data[2:4]
+    count, width, offset, at, value = ("Q", 20, "Q", 8, 12) if big else ("H", 12, "I", 4, 8)
+    (start,) = struct.unpack_from(order + offset, data, at)
+    (entries,) = struct.unpack_from(order + count, data, start)
+    start += struct.calcsize(count)
+    for entry in range(start, min(start + entries * width, len(data) - width + 1), width):
+        if struct.unpack_from(order + "HH", data, entry) == (ORIENTATION, _SHORT):
+            struct.pack_into(order + "H", data, entry + value, 1)
+    return data
+
+
+@contextmanager
+def decoding() -> Iterator[None]:
+    """Whatever a decoder makes of a damaged file is told as that. Memory and interruptions pass."""
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:  # SyntaxError, struct.error, zlib.error, KeyError, ...: decoders promise nothing
+        if is_out_of_memory(error):
+            raise
+        raise InputError(
+            f"the picture is damaged or cut short ({_one_line(error)}); copy or export it again"
+        ) from error
+
+
+@contextmanager
+def quiet_pillow() -> Iterator[None]:
+    """Nothing of Pillow's warnings and log: what matters of it is found out here, and told in one sentence."""
+    logger = logging.getLogger("PIL")
+    level = logger.level
+    logger.setLevel(logging.CRITICAL + 1)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        logger.setLevel(level)
+
+
+@contextmanager
+def quiet_stderr() -> Iterator[None]:
+    """Nothing comes out of the error stream, not from C libraries either: libtiff prints what it then reports as well."""
+    sys.stderr.flush()
+    try:
+        kept = os.dup(2)
+    except OSError:  # a program without one, as on Windows
+        yield
+        return
+    try:
+        with open(os.devnull, "wb") as nowhere:
+            os.dup2(nowhere.fileno(), 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())[:120] or type(error).__name__

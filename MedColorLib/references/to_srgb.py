@@ -1,0 +1,86 @@
+"""Stage *references*: the colours of a decoded picture become sRGB, by its embedded profile or by its kind."""
+
+from __future__ import annotations
+
+from io import BytesIO
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from PIL import Image
+
+_RELATIVE, _BLACK_POINT = 1, 0x2000  # rendering intent and flag of LittleCMS, as in image editors
+_ROUNDING = 2  # 8-bit levels that a conversion from sRGB to sRGB may change
+_EXIF, _COLOR_SPACE, _UNCALIBRATED, _ADOBE = 0x8769, 0xA001, 0xFFFF, 2
+_INTEROP, _INTEROP_INDEX = 0xA005, 1
+TAG_GROUPS = (_EXIF, _INTEROP)  # of EXIF, wanted here
+_ADOBE_TO_SRGB = np.array([[1.39836, -0.39836, 0.0], [0.0, 1.0, 0.0], [0.0, -0.04293, 1.04293]])  # linear, both D65
+_ADOBE_GAMMA = 563 / 256
+_SPACES = {"RGB": "RGB ", "CMYK": "CMYK", "LAB": "Lab "}
+
+
+def to_srgb(image: Image.Image, profile: bytes | None, exif: dict) -> tuple[Image.Image, tuple[str, ...]]:
+    """Colours as sRGB, and what was decided.
+
+    Args:
+        image: of mode RGB, CMYK or LAB.
+        profile: embedded ICC profile, or None.
+        exif: nested tags; a camera set to Adobe RGB says so there and embeds no profile (DCF).
+
+    Returns:
+        An image of mode RGB, and notes.
+    """
+    if profile:
+        return _by_profile(image, profile)
+    if image.mode == "LAB":
+        return _from_lab(image), ()
+    if image.mode == "CMYK":
+        note = "CMYK without a colour profile, its colours are approximate: convert it to sRGB in an image editor"
+        return image.convert("RGB"), (note,)
+    if _is_adobe_rgb(exif):
+        return _from_adobe_rgb(image), ("converted from Adobe RGB, which its EXIF names, to sRGB",)
+    return image, ()
+
+
+def _by_profile(image, profile: bytes) -> tuple[Image.Image, tuple[str, ...]]:
+    from PIL import ImageCms
+
+    try:
+        source = ImageCms.ImageCmsProfile(BytesIO(profile))
+        name = " ".join(ImageCms.getProfileDescription(source).split()) or "without a name"
+        if source.profile.xcolor_space != _SPACES[image.mode]:
+            raise ImageCms.PyCMSError(f"it is for {source.profile.xcolor_space.strip()}")
+        made = ImageCms.profileToProfile(
+            image, source, ImageCms.createProfile("sRGB"), _RELATIVE, outputMode="RGB", flags=_BLACK_POINT
+        )
+    except (ImageCms.PyCMSError, OSError, TypeError, ValueError) as error:
+        converted, notes = to_srgb(image, None, {})
+        why = " ".join(str(error).split())
+        return converted, (f"its colour profile cannot be used ({why}): taken as sRGB", *notes)
+    if image.mode == "RGB":
+        change = np.abs(np.asarray(made, np.int16) - np.asarray(image, np.int16)).max(initial=0)
+        if change <= _ROUNDING:
+            return image, ()
+    return made, (f"converted from its colour profile ({name}) to sRGB",)
+
+
+def _from_lab(image) -> Image.Image:
+    from PIL import ImageCms
+
+    lab, srgb = ImageCms.createProfile("LAB"), ImageCms.createProfile("sRGB")
+    return ImageCms.profileToProfile(image, lab, srgb, _RELATIVE, outputMode="RGB")
+
+
+def _is_adobe_rgb(exif: dict) -> bool:
+    space, index = exif.get(_EXIF, {}).get(_COLOR_SPACE), exif.get(_INTEROP, {}).get(_INTEROP_INDEX)
+    return space == _ADOBE or (space == _UNCALIBRATED and str(index)[:3] == "R03")
+
+
+def _from_adobe_rgb(image) -> Image.Image:
+    from PIL import Image
+
+    levels = np.linspace(0, 1, 256, dtype=np.float32) ** _ADOBE_GAMMA
+    linear = np.clip(levels[np.asarray(image)] @ _ADOBE_TO_SRGB.T.astype(np.float32), 0, 1)
+    encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    return Image.fromarray(np.rint(255 * encoded).astype(np.uint8))
