@@ -22,9 +22,9 @@ from .reconstruction import DIRECTIONS
 PATCH_RADIUS = {5: 1, 4: 1, 3: 1, 2: 2, 1: 2}  # patches of 3 at layers 5, 4, 3 and 5 at layers 2, 1
 SEARCH_RADIUS = {4: 6, 3: 6, 2: 4, 1: 4}
 BLEND_ALPHA = {4: 0.8, 3: 0.7, 2: 0.6, 1: 0.1}
-LEAST_SPREAD = (
-    1e-3  # of squared feature lengths, as a share of the largest: below it length says nothing of the response
-)
+# Of squared feature lengths, as a share of the largest: below it, as with unit features of half precision (2e-3), length says
+# nothing of the response.
+LEAST_SPREAD = 1e-2
 GROUP_WEIGHT = 11.0  # one pixel of another group costs 2 * 11^2; a patch's features and context differ by 200 at most
 EXACT_LIMIT = 4096 * 4096 + 1  # entries of the similarity matrix up to which the search is exhaustive (64 MB)
 
