@@ -18,7 +18,7 @@ instead of 0.004 (layer 4) and 0.011 (layer 3) |
 | search at layers 2 and 1 | PatchMatch, 10 iterations | every patch of a window of 24 x 24, twice | 0.004 above the least \
 instead of 0.011, held against it at layer 3 |
 | features one layer down | L-BFGS | the photograph's own, warped (`--reconstruction lbfgs` has the paper's) | L-BFGS, matches \
-alone: 8 iterations 2.0 / - / 2.4 / 2.0, 32 iterations - / - / 3.1 / 2.5, though its loss keeps falling |
+alone: 8 iterations 2.0 / - / 2.4 / 2.0, 16 (default) 2.2 / - / 2.6 / 2.4, 32 - / - / 3.1 / 2.5, though its loss falls |
 | patches, radii, blend weights, vote | 3, 3, 3, 5, 5; 6, 6, 4, 4; alpha 0.8, 0.7, 0.6, 0.1; 5 x 5 | the same | none |
 | gamma | 1/2, then 2 | the same beside the paper's luminance, else off | with it beside the scan's own 2.9 / 4.0 / 6.4 / 6.0 |
 | luminance | the equation's | natural, `--luminance paper` has the paper's | 3.3 / 3.3 / 3.4 / 3.3 (gamma off), after the gamut |
