@@ -20,7 +20,7 @@ from ..parameters import Settings
 from ..progress import Run
 from ..run.engine import Engine
 from ..run.prepare import prepare
-from ..scan.grid import to_grid
+from ..scan.grid import from_grid, to_grid
 from ..scan.intensity import histogram_match_curve, spreading_curve
 from ..volume import Volume
 
@@ -141,6 +141,13 @@ class Matched:
         """Replace the matched colours by the true ones (rows, cols, 3) of the whole slice: a match without error."""
         j0, j1, i0, i1 = self.prepared.body.boxes[self._k]
         self.lab, self._trusts = to_grid(lab[j0:j1, i0:i1], self.prepared.grid), [None]
+
+    def unsmoothed(self) -> np.ndarray:
+        """L* a* b* (rows, cols, 3) of the whole slice by the votes of the matches alone; 0 outside the body's box."""
+        j0, j1, i0, i1 = self.prepared.body.boxes[self._k]
+        out = np.zeros((*self.prepared.view.shape[1:], 3))
+        out[j0:j1, i0:i1] = from_grid(self.lab, (j1 - j0, i1 - i0))
+        return out
 
     def chroma(self, smoother: str, gamma: bool) -> np.ndarray:
         """a*, b* (rows, cols, 2) of the whole slice before they are drawn into the gamut; 0 outside the body."""

@@ -7,6 +7,7 @@ from typing import Any
 
 from ..errors import InputError
 from . import (
+    deconvolution,
     machine,
     measures,
     outline,
@@ -33,6 +34,7 @@ TABLES = {
     "fgs": suite_smoothing.COLUMNS,
     "stiff": suite_smoothing.STIFF_COLUMNS,
     "fields": suite_correspondence.COLUMNS,
+    "deconvolution": deconvolution.COLUMNS,
     "features": suite_features.COLUMNS,
     "improvements": suite_quality.COLUMNS,
     "beaten": suite_quality.BEATEN_COLUMNS,

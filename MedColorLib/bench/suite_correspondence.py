@@ -16,6 +16,7 @@ from ..matching.analogy import PATCH_RADIUS, SEARCH_RADIUS, unit
 from ..matching.fields import exact, patchmatch, windowed
 from ..matching.fields.field import upsample
 from ..progress import Progress
+from . import deconvolution
 from .pairs import SIZE_PX, Pair, Section, make_pair
 from .tables import TIME_COLUMNS, Suite, Table, timed
 
@@ -59,6 +60,8 @@ def run(sections: list[Section], extractors: list[Extractor], quick: bool, seed:
         progress(number / len(jobs), f"correspondence, {section.name}, {extractor.name}, layer {layer}")
         pair = make_pair(section, remap, seed, mirror=False)
         _measure(suite, pair, extractor, layer, quick, seed)
+    if any(extractor.name == "vgg19" for extractor in extractors):
+        deconvolution.run(suite, sections[0], quick, seed, progress)
     return suite
 
 

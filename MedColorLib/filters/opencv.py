@@ -10,6 +10,9 @@ looked at first. Sources of float64 are never sent here: they are computed in fl
 
 from __future__ import annotations
 
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -23,6 +26,7 @@ SIGMA_S_RANGE, SIGMA_R_LEAST = (1.0, 200.0), 0.1  # of the domain transform: 4e-
 _LARGEST_SOURCE, _LONGEST = 1e30, 4096
 _LARGEST_GUIDE = 1e4  # in units of the domain transform's guide
 _MOST_CHANNELS = 4
+_THREADS = threading.Lock()
 
 
 def contributed() -> Any | None:
@@ -66,8 +70,29 @@ def fast_global_smoother(
     ximgproc = None if whole is None else contributed()
     if ximgproc is None:
         return None
-    solver = ximgproc.createFastGlobalSmootherFilter(whole, lambdas[0], sigma, 0.25, len(lambdas))
-    return merged([_within(solver.filter(plane), *limits) for plane, *limits in planes], source)
+    with _one_thread():
+        solver = ximgproc.createFastGlobalSmootherFilter(whole, lambdas[0], sigma, 0.25, len(lambdas))
+        return merged([_within(solver.filter(plane), *limits) for plane, *limits in planes], source)
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """OpenCV with one thread: the last digit of its fast global smoother depends on how many share the lines.
+
+    A run has one already (`device.one_thread`) and changes nothing here.
+    """
+    import cv2
+
+    threads = cv2.getNumThreads()
+    if threads == 1:
+        yield
+        return
+    with _THREADS:
+        cv2.setNumThreads(1)
+        try:
+            yield
+        finally:
+            cv2.setNumThreads(threads)
 
 
 def domain_transform(

@@ -19,7 +19,7 @@ EXPLAINED_RANGE = (
     0.1,
     0.3,
 )  # share of the luminance variance explained from which the learned curve counts, and counts in full
-GAIN_RANGE = (-0.01, 0.01)  # likewise of the similarity that it gains
+GAIN_RANGE = (0.0, 0.02)  # likewise of the similarity that it gains
 
 
 @dataclass(frozen=True)
@@ -83,6 +83,8 @@ def match_contrast(greys, masks, reference_grey, reference_mask, coarse_similari
     regressed = apply_curve(inside, regression)
     variance = float(np.var(seen))
     explained = float(np.var(regressed)) / variance if variance > 0 else 0.0
+    if explained <= EXPLAINED_RANGE[0]:
+        return Contrast(matched, "histogram match", explained, 0.0)
     spread = histogram_match_curve(regressed, reference_grey[reference_mask])
     learned = apply_curve(regression, spread).astype(np.float64)
     gain = coarse_similarity(apply_curve(greys, learned) * masks) - coarse_similarity(

@@ -15,7 +15,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-# Liao et al. go on for up to 500. On pairs of the thorax 8 iterations leave the error as it is, 32 cost 0.4 to 0.7 CIEDE2000.
+# Liao et al. go on for up to 500. On pairs of the thorax the votes of the matches are as good as warped ones after 8 iterations,
+# 0.2 to 0.4 CIEDE2000 worse after 16, which halve the loss, and 0.4 to 0.7 worse after 32.
 MOST_ITERATIONS = 16
 EVERY = 8  # iterations between two looks at the loss
 LEAST_GAIN = 0.05  # of the loss, by the last EVERY iterations; less means converged

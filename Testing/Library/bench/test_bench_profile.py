@@ -12,6 +12,7 @@ import torch
 from torch.utils.flop_counter import FlopCounterMode
 
 from MedColorLib.bench import (
+    deconvolution,
     real_volumes,
     run,
     schema,
@@ -178,12 +179,32 @@ class TestSideBySide:
         assert max(row["difference"] for row in rows) < 1e-3
         assert all(row["time_ratio"] == pytest.approx(row["seconds"] / row["seconds_beside"], rel=1e-4) for row in rows)
 
+    def test_the_larger_picture_has_three_channels(self, phantom):
+        pytest.importorskip("cv2.ximgproc")
+        suite = Suite({"sidebyside": Table(suite_sidebyside.COLUMNS)})
+        method = next(suite_sidebyside.opencv_filters(suite))
+        suite_sidebyside._measure_filter(suite, method, phantom, 0, 512)
+        (row,) = suite.tables["sidebyside"].where()
+        assert row["condition"].endswith("512 x 512 x 3") and row["runs"] == 15 and not suite.failures
+
     def test_results_that_differ_have_no_time(self, phantom):
         suite = Suite({"sidebyside": Table(suite_sidebyside.COLUMNS)})
         wrong = suite_sidebyside.Beside("a filter", "other", "as it is", lambda s, g: s, lambda s, g: 2 * s)
         suite_sidebyside._measure_filter(suite, wrong, phantom, 0)
         assert suite.tables["sidebyside"].where()[0]["seconds"] is None
         assert "differs from OpenCV's" in suite.failures[0][1]
+
+
+@pytest.mark.slow
+def test_deconvolution_lowers_its_loss(phantom, shared_weights, monkeypatch):
+    monkeypatch.setenv("MEDCOLOR_WEIGHTS", str(shared_weights))
+    table = Table(deconvolution.COLUMNS)
+    for iterations in (0, 8):
+        deconvolution.add_row(table, phantom, "as it is", iterations, 0, stop_layer=4)
+    warped, solved = table.where()
+    assert warped["loss_before"] is None and (warped["of"], solved["of"]) == (0, 2)
+    assert solved["loss_after"] < 0.8 * solved["loss_before"] and solved["evaluations"] >= 18
+    assert solved["mean_matched"] != warped["mean_matched"] and solved["mean_matched"] < 1.5 * warped["mean_matched"]
 
 
 class TestScaling:

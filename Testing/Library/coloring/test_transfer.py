@@ -77,7 +77,9 @@ class TestEveryWay:
         inside = given[1]
         change = (lightness_of(rgb) - gray_to_lightness(given[0].astype(np.float64)))[inside]
         assert change.max() < 0.4  # the rounding of three bytes
-        assert np.count_nonzero(change < -0.9) <= bent < 0.1 * inside.sum(), "lower only where sRGB holds no such colour"
+        assert np.count_nonzero(change < -0.9) <= bent < 0.1 * inside.sum(), (
+            "lower only where sRGB holds no such colour"
+        )
         black = inside & (given[0] == 0)
         assert black.any() and not rgb[black].any()
 
@@ -225,7 +227,6 @@ def test_lightness_gives_way_to_chroma_and_both_are_counted():
     assert srgb_to_lab(rgb)[mask][light][:, 1].min() > 60, "lights keep their red"
     assert np.corrcoef(own[light], seen[light])[0, 1] > 0.8, "and their order"
     assert transfer(grey.clip(0.1), mask, match_of(matched_as((120, 110, 100)), grey, mask), parameters)[1:] == (0, 0)
-
 
 
 @pytest.mark.parametrize("smoother", SMOOTHERS)

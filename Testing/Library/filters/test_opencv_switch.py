@@ -110,6 +110,21 @@ class TestFastGlobalSmoother:
         got = fast_global_smoother(source, guide, **options)
         assert not asked and got.dtype == source.dtype and np.isfinite(got).all()
 
+    def test_the_number_of_threads_changes_nothing(self, asked):
+        import cv2
+
+        source, guide = picture(37, 53)
+        before, found = cv2.getNumThreads(), []
+        try:
+            for threads in (1, 2, 3):
+                cv2.setNumThreads(threads)
+                found.append(smooth(source, guide))
+                assert cv2.getNumThreads() == threads
+        finally:
+            cv2.setNumThreads(before)
+        np.testing.assert_array_equal(found[0], found[1])
+        np.testing.assert_array_equal(found[0], found[2])
+
     def test_a_guide_rounded_to_8_bits_moves_the_result_little(self, asked):
         """What rounding a luminance of 0..255 costs: the links change by 1 / sigma at most."""
         source, guide = picture(seed=4)

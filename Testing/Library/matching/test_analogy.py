@@ -217,9 +217,17 @@ class TestWeights:
             torch.testing.assert_close(got[n, 0], 0.8 / (1 + torch.exp(-300 * (scaled - 0.05))))
 
     @pytest.mark.parametrize("value", [0.0, 1.0, 1e-12, 1e15])
-    def test_constant_maps_have_no_strong_response(self, value):
+    def test_constant_maps_are_strong_everywhere(self, value):
         got = response_weight(torch.full((1, 4, 5, 5), value), 0.7)
-        torch.testing.assert_close(got, torch.full((1, 1, 5, 5), 0.7 / (1 + math.exp(15))))
+        torch.testing.assert_close(got, torch.full((1, 1, 5, 5), 0.7))
+
+    @pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16])
+    def test_features_of_unit_length_are_strong_everywhere(self, dtype):
+        """Their lengths differ by rounding only, which the formula would stretch to 0..1: weights by chance."""
+        features = unit(torch.randn(1, 512, 16, 16, generator=torch.Generator().manual_seed(2))).to(dtype)
+        lengths = features.float().square().sum(1)
+        assert lengths.max() > lengths.min()
+        torch.testing.assert_close(response_weight(features, 0.8), torch.full((1, 1, 16, 16), 0.8))
 
     def test_scale_does_not_matter(self):
         features = torch.rand(1, 4, 6, 6)

@@ -1,0 +1,78 @@
+"""Natural lightness: the reference's for each tissue, the scan's own detail on it, nothing lost, nothing amplified."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from MedColorLib.coloring.natural import AIR_LIGHTNESS, DETAIL_GAIN, natural_lightness, without_noise
+
+SHAPE = (120, 96)
+RNG = np.random.default_rng(0)
+LEFT = np.broadcast_to(np.arange(SHAPE[1]) < SHAPE[1] // 2, SHAPE)
+MASK = np.ones(SHAPE, bool)
+RIPPLE = np.broadcast_to(4 * np.sin(np.arange(SHAPE[0])[:, None] / 3), SHAPE)
+
+
+def two_tissues(left: float, right: float) -> np.ndarray:
+    return np.where(LEFT, left, right).astype(np.float64)
+
+
+def middle(values: np.ndarray, side: np.ndarray) -> np.ndarray:
+    """Values well inside one tissue."""
+    far = np.abs(np.arange(SHAPE[1]) - SHAPE[1] // 2) > 12
+    return values[side & far]
+
+
+@pytest.mark.parametrize(("scan", "photograph"), [((40, 70), (80, 30)), ((40, 70), (30, 80)), ((60, 55), (80, 25))])
+def test_each_tissue_takes_the_photographs_lightness_and_keeps_its_own_detail(scan, photograph):
+    """Whatever the order of the two tissues in the two pictures."""
+    own, reference = two_tissues(*scan) + RIPPLE, two_tissues(*photograph)
+    got = natural_lightness(own, reference, MASK, 1.0)
+    for side, wanted in ((LEFT, photograph[0]), (~LEFT, photograph[1])):
+        assert abs(middle(got, side).mean() - wanted) < 1
+        assert np.corrcoef(middle(got, side), middle(RIPPLE, side))[0, 1] > 0.97
+        assert middle(got, side).std() == pytest.approx(DETAIL_GAIN * middle(RIPPLE, side).std(), rel=0.1)
+
+
+def test_the_slider_goes_from_the_scan_to_the_reference():
+    own, reference = two_tissues(40, 70) + RIPPLE, two_tissues(80, 30)
+    none, half, whole = (natural_lightness(own, reference, MASK, amount) for amount in (0.0, 0.5, 1.0))
+    np.testing.assert_allclose(none, own, atol=1e-4)
+    np.testing.assert_allclose(half, (none + whole) / 2, atol=1e-3)
+
+
+def test_air_stays_black_and_the_way_to_tissue_is_steady():
+    ramp = np.broadcast_to(np.linspace(0, 2 * AIR_LIGHTNESS, SHAPE[1]), SHAPE).copy()
+    got = natural_lightness(ramp, np.full(SHAPE, 60.0), MASK, 1.0)
+    assert got[:, 0].max() < 5
+    assert np.diff(got.mean(0)).min() > -0.5
+
+
+def test_noise_is_not_amplified_within_a_tissue():
+    own = 50 + RNG.normal(0, 2, SHAPE)
+    got = natural_lightness(own, np.full(SHAPE, 70.0), MASK, 1.0)
+    assert got.std() < own.std()
+
+
+def test_what_lies_outside_the_body_has_no_say():
+    own, reference = two_tissues(40, 70), two_tissues(80, 30)
+    inside = LEFT.copy()
+    changed = np.where(inside, own, 0.0)
+    got = natural_lightness(changed, reference, inside, 1.0)
+    assert abs(middle(got, LEFT) - 80).max() < 1
+
+
+def test_noise_goes_and_edges_stay():
+    edge = np.where(LEFT, 0.3, 0.6)
+    noisy = edge + RNG.normal(0, 0.005, SHAPE)
+    smooth = without_noise(noisy)
+    assert (middle(smooth, LEFT) - 0.3).std() < 0.5 * (middle(noisy, LEFT) - 0.3).std()
+    assert np.abs(smooth - edge).max() < 0.05
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 40), (3, 2)])
+def test_any_shape(shape):
+    got = natural_lightness(np.full(shape, 50.0), np.full(shape, 70.0), np.ones(shape, bool), 1.0)
+    assert got.shape == shape and np.isfinite(got).all()
+    assert np.isfinite(without_noise(np.full(shape, 0.5))).all()
