@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("MedColor")
 
+TELLING_MM = 60.0  # of body along the stack; a thin slab of a symmetric part looks alike whichever way up
+
 
 def reference_warnings(prepared: Prepared, references: Sequence[ReferenceOnGrid], choice: dict[int, int]) -> list[dict]:
     """What the report says, and the log with it; empty where nothing speaks against the references.
@@ -27,6 +29,8 @@ def reference_warnings(prepared: Prepared, references: Sequence[ReferenceOnGrid]
     """
     found = []
     best = max((references[index].lie.margin for index in set(choice.values())), default=0.0)
+    if len(prepared.body.slices) * prepared.slice_spacing_mm < TELLING_MM:
+        best = float("inf")  # which way up says nothing
     for index in sorted(set(choice.values())):
         own = [k for k, chosen in choice.items() if chosen == index]
         picture, lie = prepared.references[index], references[index].lie
