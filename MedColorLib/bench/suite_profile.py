@@ -41,8 +41,9 @@ NOTES = [
     "One slice through the pipeline; functions are replaced by timed ones while it runs, and the time of a stage is without "
     "the stages inside it. share: of the stages that are done for every slice; those done once a volume have none.",
     "prepare holds finding body and window, and the photograph's tissue; network and contrast: the weights, the photograph's "
-    "orientation and features, the learned contrast. descent: a layer's own features blended with those matched above; MedColor's own network has one layer, and none. rest of "
-    "matching: components of the features, unit vectors, context, trust, and bringing the slice to the raster.",
+    "orientation and features, the learned contrast. descent: a layer's own features blended with those matched above; "
+    "MedColor's own network has one layer, and none. rest of matching: components of the features, unit vectors, context, "
+    "trust, and bringing the slice to the raster.",
     f"operations and bytes_moved are counted from the shapes. {work.formulas()}",
     "share_of_limit: the least time by the measured rates of this machine (the larger of operations / matrix product and "
     "bytes / copy) over the time taken; small arrays stay in the cache, where moving is faster than the copy measured.",

