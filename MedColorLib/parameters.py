@@ -83,7 +83,8 @@ class Settings:
 
     Attributes:
         preset: "draft", "balanced" or "full" (the paper's five layers).
-        features: "auto" takes VGG-19 where its weights are present, else the embedded features.
+        features: "auto" takes "embedded", MedColor's own network; with the preset "full", the paper's way, VGG-19 where its
+            weights are found.
         smoother: "auto" takes the preset's; "regression" (colour as a function of luminance within a neighbourhood),
             "fgs" (the paper), "guided", "domain-transform", "wls".
         smoother_options: values of the smoother's own parameters by name, such as {"lam": 16.0, "iterations": 3}; None

@@ -146,6 +146,8 @@ def _add_rim(prepared: Prepared, rgb: np.ndarray, run: Run) -> int:
     from .coloring.rim import add_rim, air_level
     from .run.paint import PaintedMasks
 
+    if prepared.body.given is not None:
+        return 0  # a mask is coloured as it is, to its very edge; no threshold says where the scan's ramp would end
     chosen, threshold = sorted(prepared.plan.slices), prepared.body.threshold
     may_change = _slices_of_rim(prepared)
     planes = range(int(may_change[0]), int(may_change[-1]) + 1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,7 +16,9 @@ from ..coloring.transfer import (
     solve_relation,
     transfer_lab,
 )
+from ..errors import SettingsError
 from ..matching.contrast import Contrast
+from ..matching.orientation import WAYS, Lie
 from ..parameters import Settings
 from ..progress import Run
 from ..run.engine import Engine
@@ -31,10 +34,13 @@ class Method:
 
     Attributes:
         features: "vgg19" or "embedded". preset: key of PRESETS.
-        stop_layer, context: other than the preset's; None takes the preset's.
+        stop_layer, context: other than the preset's; None takes the preset's. Not with the own features, which have neither.
         reconstruction: "warp" or "lbfgs".
         whole_features: True compares all channels of the features instead of the preset's components.
         contrast, orientation: False takes the histogram match, and the photograph as it lies: both as in the paper.
+
+    Raises:
+        SettingsError: a layer, context or whole features of the own features.
     """
 
     features: str
@@ -45,6 +51,10 @@ class Method:
     whole_features: bool = False
     contrast: bool = True
     orientation: bool = True
+
+    def __post_init__(self) -> None:
+        if self.features == "embedded" and (self.stop_layer, self.context, self.whole_features) != (None, None, False):
+            raise SettingsError("the own features have one layer, no context and no components: leave these out")
 
     @property
     def label(self) -> str:
@@ -98,6 +108,9 @@ class SwitchedEngine(Engine):
     def _turn_references(self) -> None:
         if self._method.orientation:
             super()._turn_references()
+            return
+        for reference in self.references:
+            reference.turn(Lie("as it is", math.inf, dict.fromkeys(WAYS, 0.0)))  # as if it were known
 
     def _learn_contrast(self, index: int) -> None:
         super()._learn_contrast(index)

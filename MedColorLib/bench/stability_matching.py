@@ -7,7 +7,8 @@ from collections.abc import Iterator
 import torch
 from torch import Tensor
 
-from ..features.embedded import Embedded
+from ..features import make_extractor
+from ..features.self_similarity import SelfSimilarity
 from ..matching.analogy import deep_image_analogy, response_weight, unit
 from ..matching.fields import exact, patchmatch, windowed
 from ..matching.fields.field import average_vote, identity, upsample
@@ -56,13 +57,20 @@ def _feature_cases() -> Iterator[Case]:
         ("one bright pixel", _spot()),
     ):
 
-        def finite(picture=picture) -> bool:
-            found = Embedded().extract(picture, (5, 4, 3, 2, 1))
+        def finite(extractor, layers, picture=picture) -> bool:
+            found = extractor.extract(picture, layers)
             return all(bool(torch.isfinite(unit(values)).all()) for values in found.values())
 
-        yield case("embedded descriptors", name, "finite", holds(finite, "finite"))
-    like = at_most(lambda: torch.nan_to_num(Embedded().descriptor(torch.zeros(1, 1, 64, 64)), nan=9.0).norm() - 1, 1e-5)
+        alike = holds(lambda finite=finite: finite(SelfSimilarity(), (5, 4, 3, 2, 1)), "finite")
+        yield case("self-similarity", name, "finite", alike)
+        own = holds(lambda finite=finite: finite(make_extractor("embedded"), (5, 4, 3)), "finite")
+        yield case("own features", name, "finite", own)
+    like = at_most(lambda: torch.nan_to_num(_black_descriptor(), nan=9.0).norm() - 1, 1e-5)
     yield case("descriptor for recommendation", "black slice", "finite, length at most 1", like)
+
+
+def _black_descriptor() -> Tensor:
+    return make_extractor("embedded").descriptor(torch.zeros(1, 1, 64, 64))
 
 
 def _spot() -> Tensor:
@@ -132,7 +140,7 @@ def _ramp(side: int) -> Tensor:
 
 
 def _analogy_cases() -> Iterator[Case]:
-    extract = Embedded().extract
+    extract = SelfSimilarity().extract
     layers = (5, 4, 3, 2, 1)
 
     def match(picture: Tensor, mask: Tensor, seed: int = 0, search: str = "windowed"):

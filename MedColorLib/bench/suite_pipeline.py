@@ -43,14 +43,13 @@ def methods(quick: bool, with_network: bool) -> list[Method]:
         found += [Method(features, "draft"), Method(features, "balanced")]
         if features == "vgg19" or not quick or not with_network:
             found.append(Method(features, "full"))
-        if quick:
+        if quick or features == "embedded":  # one layer, without context
             continue
         found += [Method(features, "balanced", stop_layer=layer) for layer in (5, 4, 2, 1)]
         found.append(Method(features, "balanced", context=False))
-        if features == "vgg19":
-            found.append(Method(features, "balanced", whole_features=True))
-            found.append(Method(features, "balanced", reconstruction="lbfgs"))
-            found.append(Method(features, "full", reconstruction="lbfgs"))
+        found.append(Method(features, "balanced", whole_features=True))
+        found.append(Method(features, "balanced", reconstruction="lbfgs"))
+        found.append(Method(features, "full", reconstruction="lbfgs"))
     return found
 
 

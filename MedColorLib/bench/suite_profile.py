@@ -41,8 +41,9 @@ NOTES = [
     "One slice through the pipeline; functions are replaced by timed ones while it runs, and the time of a stage is without "
     "the stages inside it. share: of the stages that are done for every slice; those done once a volume have none.",
     "prepare holds finding body and window, and the photograph's tissue; network and contrast: the weights, the photograph's "
-    "orientation and features, the learned contrast. descent: a layer's own features blended with those matched above. rest of "
-    "matching: components of the features, unit vectors, context, trust, and bringing the slice to the raster.",
+    "orientation and features, the learned contrast. descent: a layer's own features blended with those matched above; "
+    "MedColor's own network has one layer, and none. rest of matching: components of the features, unit vectors, context, "
+    "trust, and bringing the slice to the raster.",
     f"operations and bytes_moved are counted from the shapes. {work.formulas()}",
     "share_of_limit: the least time by the measured rates of this machine (the larger of operations / matrix product and "
     "bytes / copy) over the time taken; small arrays stay in the cache, where moving is faster than the copy measured.",
@@ -99,7 +100,7 @@ def measure(table: Table, machine: Machine, volume: Volume, rgb: np.ndarray, set
     medians = {stage: float(np.median(values)) for stage, values in laps.items()}
     done = stage_work(prepared, engine, rgb)
     keys = {"features": settings.features, "method": settings.preset, "side_px": volume.array.shape[1]}
-    for stage in (*ONCE, *PER_SLICE):
+    for stage in (*ONCE, *(stage for stage in PER_SLICE if stage in laps)):
         taken = once.get(stage) or seconds_of(laps[stage])
         share = None if stage in once else medians[stage] / sum(medians.values())
         row = {**keys, "stage": stage, "per": "volume" if stage in once else "slice", "share": share}
@@ -125,20 +126,19 @@ def _one_lap(prepared: Prepared, engine: Engine) -> dict[str, float]:
             Painter(prepared, engine, stack, each=each).add([0], matches)
         with watch.stage("writing"):
             write_color_volume(ColorVolume(stack, prepared.volume.ijk_to_ras), Path(folder) / "slice.nrrd")
-    return {stage: watch.seconds[stage] for stage in PER_SLICE}
+    return {stage: watch.seconds[stage] for stage in PER_SLICE if not (engine.own_features and stage == "descent")}
 
 
 def stage_work(prepared: Prepared, engine: Engine, rgb: np.ndarray) -> dict[str, work.Work]:
     """What the stages have to do, by formula; see `work`."""
     raster, pixels = prepared.grid.height * prepared.grid.width, prepared.view[0].size
     shapes = {layer: values.shape for layer, values in engine.features_of(0).layers.items()}
-    context = sum(size for size, weight in zip((4, 2), CONTEXT_WEIGHTS[engine.extractor.name]) if weight)
     matching = work.matching_work(
         {layer: shape[2] * shape[3] for layer, shape in shapes.items()},
-        {layer: 2 * shape[1] + (context if engine.uses_context else 0) for layer, shape in shapes.items()},
+        {layer: _compared(engine, shape[1]) for layer, shape in shapes.items()},
     )
-    if engine.extractor.name == "embedded":
-        features = work.embedded_work(raster, engine.layers)
+    if engine.own_features:
+        features = work.own_work(raster, engine.extractor.context)
     else:
         features = work.vgg19_work(raster, str(engine.extractor.dtype).removeprefix("torch."))
     return {
@@ -148,6 +148,14 @@ def stage_work(prepared: Prepared, engine: Engine, rgb: np.ndarray) -> dict[str,
         "colour": work.color_work(raster, pixels),
         "writing": work.Work(None, 3 * pixels),
     }
+
+
+def _compared(engine: Engine, channels: int) -> int:
+    """Numbers a position in the pairs that are matched: latent ones beside VGG-19's, and what tells place and grey."""
+    if engine.own_features:
+        return channels + 4  # row and column, each a point on a circle
+    context = CONTEXT_WEIGHTS[engine.extractor.name] if engine.uses_context else (0, 0)
+    return 2 * channels + sum(size for size, weight in zip((4, 2), context) if weight)
 
 
 def _rates(done: work.Work | None, seconds: float, machine: Machine) -> dict:

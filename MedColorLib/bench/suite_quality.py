@@ -30,13 +30,14 @@ BEATEN_COLUMNS = ("section", "remap", "features", "default", "paper", "best_base
 PAPER, SHORT, DEFAULT = "paper", "paper, to layer 3", ALL_TOGETHER
 UPSIDE_DOWN = "as it is, photograph upside down"
 _BASELINES = ("grey", "mean colour", "look-up table")
-_TURNED_MODES = (SHORT, "+ orientation", DEFAULT)
+_OF_LAYERS = (SHORT, "+ context", "+ learned contrast")  # modes that the own features do not have
 
 NOTES = [
     "Pairs as in the suite pipeline; CIEDE2000 inside the body with the true luminance.",
     "'paper' is the preset full to the letter: features alone, histogram match, photograph as it lies, matches count alike, "
     "fast global smoother, gamma, luminance of the paper. Each line with + switches one improvement on, on top of the paper's "
-    "mode to layer 3; the remainder stands only beside the regression. 'all together' is the preset balanced. "
+    "mode to layer 3; the remainder stands only beside the regression. 'all together' is the preset balanced, with the scan's "
+    "luminance kept. MedColor's own features see no contrast and have one layer: no context, no learned contrast. "
     "A quick run stops the paper's mode at layer 3.",
     "spill: share of the true steps of a*, b* (over 15, between points 4 pixels apart, means over 3 x 3) that is missing; 0 "
     "for sharp edges, 1 for none.",
@@ -73,16 +74,17 @@ def modes(features: str, preset: str = "balanced", paper: str = "full") -> list[
     Args:
         paper: key of PRESETS with the paper's layers.
     """
-    full = Method(features, paper, context=False, contrast=False, orientation=False)
-    short = replace(full, stop_layer=max(3, PRESETS[paper].stop_layer))
+    own_features = features == "embedded"
+    full = Method(features, paper, context=None if own_features else False, contrast=False, orientation=False)
+    short = full if own_features else replace(full, stop_layer=max(3, PRESETS[paper].stop_layer))
     letter = Transfer("fgs", gamma=True, luminance="paper", weighted=False)
     by_regression = replace(letter, smoother="regression")
     own = PRESETS[preset]
     default = Transfer(own.smoother, own.gamma)
-    return [
+    found = [
         Mode(PAPER, full, letter),
         Mode(SHORT, short, letter),
-        Mode("+ context", replace(short, context=True), letter),
+        *([] if own_features else [Mode("+ context", replace(short, context=True), letter)]),
         Mode("+ learned contrast", replace(short, contrast=True), letter),
         Mode("+ orientation", replace(short, orientation=True), letter),
         Mode("+ confidence weights", short, replace(letter, weighted=True), trusted=True),
@@ -93,6 +95,7 @@ def modes(features: str, preset: str = "balanced", paper: str = "full") -> list[
         Mode(DEFAULT, Method(features, preset), default),
         Mode(f"{DEFAULT}, luminance paper", Method(features, preset), replace(default, luminance="paper")),
     ]
+    return [mode for mode in found if not (own_features and mode.name in _OF_LAYERS)]
 
 
 def run(sections: list[Section], data: Path | None, quick: bool, seed: int, progress: Progress) -> Suite:
@@ -105,7 +108,8 @@ def run(sections: list[Section], data: Path | None, quick: bool, seed: int, prog
         pair = make_pair(section, remap, seed)
         measure_pair(suite, pair, section.rgb, lines, runs=(2 if quick else 5) if number == 0 else 0)
     if not quick:
-        turned = [mode for mode in modes(_main_features()) if mode.name in _TURNED_MODES]
+        unturned = PAPER if _main_features() == "embedded" else SHORT
+        turned = [mode for mode in modes(_main_features()) if mode.name in (unturned, "+ orientation", DEFAULT)]
         measure_pair(suite, make_pair(sections[0], "as it is", seed), sections[0].rgb[::-1], turned, 0, UPSIDE_DOWN)
     _share_times(table)
     if (verdicts := beaten(table)).rows:
@@ -121,9 +125,9 @@ def _main_features() -> str:
 
 
 def _jobs(sections: list[Section], quick: bool) -> list[tuple[Section, str, list[Mode]]]:
-    """(section, remap, modes): every mode with the best features, the two that matter most with the embedded ones, too."""
-    if quick:  # the embedded features on the smallest pictures, the paper's mode to layer 3 only
-        lines = [mode for mode in modes("embedded", paper="balanced") if mode.name != SHORT]
+    """(section, remap, modes): every mode with the paper's features, the two that matter most with MedColor's own, too."""
+    if quick:  # the own features on the smallest pictures
+        lines = modes("embedded", paper="balanced")
         ends = [mode for mode in lines if mode.name in (PAPER, DEFAULT)]
         return [(sections[-1], "as it is", lines), (sections[-1], "inverted", ends)]
     lines = modes(_main_features())

@@ -5,13 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+import torch
 
+from ..color.lab import lightness_to_gray
 from ..errors import MedColorError
+from ..features.self_similarity import SelfSimilarity
+from ..matching.analogy import deep_image_analogy
 from ..parameters import Settings
 from ..phantom import section as phantom_section
 from ..progress import Progress
 from ..volume import Volume
-from .matched import Matched, Method
 from .pairs import Section, make_pair
 from .peak_memory import peak_of, tall_phantom
 from .suite_profile import slice_volume
@@ -26,8 +29,8 @@ _DRAFT = Settings(preset="draft", features="embedded")
 _EXHAUSTIVE, _WINDOWED = "layers: down to 5, 4, 3 (exhaustive)", "layers: down to 2, 1 (windows)"
 
 NOTES = [
-    "Preset draft, embedded features, but for matching by layers: balanced on 256 x 256, its last layer moved; x is then the "
-    "number of positions of the last layer, and the time holds the layers above, too.",
+    "Preset draft, MedColor's own features, but for the analogy by layers: self-similarity on 256 x 256, its last layer moved; x "
+    "is then the number of positions of the last layer, and the time holds the layers above, too.",
     "exponent p of seconds = c x^p: least squares of log seconds (medians) over log x, and its standard error. Fixed costs "
     "lower it. Matching takes place on a raster of fixed size: by area only the stage colour grows.",
     "Memory: a process of its own colours a volume of 64 x 64 pixels a slice, 2 mm apart; beyond_mb is its largest resident "
@@ -139,9 +142,12 @@ def _colorized(volume: Volume, pictures: list, settings: Settings, runs: int) ->
 def _by_layers(section: Section, quick: bool, seed: int) -> Measured:
     pair = make_pair(section, "as it is", seed)
     kinds = ((_EXHAUSTIVE, (5, 4, 3)),) if quick else ((_EXHAUSTIVE, (5, 4, 3)), (_WINDOWED, (2, 1)))
+    reference = lightness_to_gray(section.lab[..., 0]) * section.mask
+    planes = [torch.from_numpy(grey.astype(np.float32))[None, None] for grey in (pair.grey * pair.mask, reference)]
+    masks = torch.from_numpy(pair.mask)[None], torch.from_numpy(section.mask)
+    sides = [SelfSimilarity().extract(plane, (5, 4, 3, 2, 1)) for plane in planes]
     for what, layers in kinds:
         for layer in layers:
-            matched = Matched(pair.volume, section.rgb, Method("embedded", "balanced", stop_layer=layer))
-            grid = matched.prepared.grid
-            positions = grid.height * grid.width / 4 ** (layer - 1)
-            yield what, "positions", positions, timed(matched.match, 2 if quick else 5, warm=True)[1]
+            positions = reference.size / 4 ** (layer - 1)
+            taken = timed(lambda last=layer: deep_image_analogy(*sides, *masks, last), 2 if quick else 5)[1]
+            yield what, "positions", positions, taken

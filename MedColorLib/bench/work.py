@@ -1,12 +1,12 @@
 """How much work a stage is, counted by formula from the shapes: operations and bytes that must be moved.
 
-With P positions of a layer (those of target and reference are as many), C numbers a position in the pairs that are matched,
-r the patch radius, G pixels of the raster, and N pixels of the slice:
+With k the side of a convolution's kernel, P positions of a layer (those of target and reference are as many), C numbers a
+position in the pairs that are matched, r the patch radius, G pixels of the raster, and N pixels of the slice:
 
 | stage | operations | bytes |
 | --- | --- | --- |
 | features, VGG-19 | 18 Cin Cout h w a convolution | each convolution's input, output and kernel, once |
-| features, embedded | 136 a pixel and descriptor | 448 a pixel and descriptor |
+| features, embedded | 2 k^2 Cin Cout h w a convolution | as VGG-19's |
 | similarity product | 2 C P^2 | 8 C P, and three times 4 P^2 (written, turned into float32) |
 | box sum | 4 r P^2 | two axes: a copy (8 P^2) and 2 r sums in place (12 P^2 each) |
 | argmax | 2 P^2 comparisons, both directions | four passes of 4 P^2 (two maxima, a mask read and written) |
@@ -16,12 +16,18 @@ r the patch radius, G pixels of the raster, and N pixels of the slice:
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ..matching.analogy import PATCH_RADIUS
 
 _CHANNELS, _DEPTHS = (64, 128, 256, 512, 512), (2, 2, 4, 4, 1)
+# Convolutions of `features.contrast_net`: channels in, channels out, side of the kernel, pixels of the picture per position.
+_OWN_CONVOLUTIONS = (
+    (12, 32, 3, 4), (32, 48, 3, 16), *((48, 48, 3, 16),) * 2,  # stem and quarter
+    (48, 64, 3, 64), *((64, 64, 3, 64),) * 3, (128, 64, 1, 64),  # eighth
+    (112, 64, 3, 16), (112, 32, 1, 16),  # joined, head
+)  # fmt: skip
+_OWN_COARSEST = ((64, 64, 3, 256),) * 3
 
 
 @dataclass(frozen=True)
@@ -54,13 +60,14 @@ def vgg19_work(pixels: int, kind: str) -> Work:
     return Work(operations, moved, kind)
 
 
-def embedded_work(pixels: int, layers: Sequence[int]) -> Work:
-    """Descriptors at two distances (one at layer 5), and one of the next finer scale."""
-    described = 0.0
-    for layer in layers:
-        area = pixels / 4 ** (layer - 1)
-        described += area * (2 if layer < 5 else 1) + (4 * area if layer > 1 else 0)
-    return Work(136 * described, 448 * described)
+def own_work(pixels: int, context: float) -> Work:
+    """The own features of a slice of `pixels`; without `context` the coarsest level is left out."""
+    operations, moved = 0.0, 0.0
+    for inputs, outputs, kernel, share in _OWN_CONVOLUTIONS + (_OWN_COARSEST if context else ()):
+        area = pixels / share
+        operations += 2 * kernel**2 * inputs * outputs * area
+        moved += 4 * ((inputs + outputs) * area + kernel**2 * inputs * outputs)
+    return Work(operations, moved)
 
 
 def matching_work(positions: dict[int, int], channels: dict[int, int]) -> dict[str, Work]:

@@ -224,7 +224,7 @@ def make_tasks(
     results = Path(output_folder).resolve()
     if settings.body not in ("auto", "all"):
         raise SettingsError("body: a mask belongs to one volume; colour that one by itself, or take auto or all")
-    settings = replace(settings, features=choose_features(settings.features))
+    settings = replace(settings, features=choose_features(settings.features, settings.preset))
     pictures = load_references(references, settings.exposure, settings.reference_masks)
     expected = {
         "version": __version__,

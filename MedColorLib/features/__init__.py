@@ -12,8 +12,11 @@ way, `vgg19` where its weights are found.
 
 from __future__ import annotations
 
+import functools
+import hashlib
 import itertools
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -28,9 +31,10 @@ _DESCRIBED_TOGETHER = 16  # pictures that go through the network at once
 EXTRACTORS = ("embedded", "vgg19", "gray-vgg19")
 
 # How strongly body-relative position and grey join the features: (position, luminance); 1 counts as much as the features.
+# The own features need no grey; how position joins them is in `matching.contrast_match`.
 CONTEXT_WEIGHTS = {"vgg19": (0.5, 0.5), "gray-vgg19": (0.5, 0.5)}
 
-
+OWN_WEIGHTS = Path(__file__).with_name("contrast_net.safetensors")
 # Of the own features: what the coarsest level says of the place in the body is left out, so that hue follows tissue.
 OWN_CONTEXT = 0.0
 
@@ -101,6 +105,21 @@ def make_extractor(name: str, device: str = "cpu") -> Extractor:
     from .gray_vgg19 import GrayVGG19
 
     return GrayVGG19(weights, device=device)
+
+
+@functools.lru_cache(maxsize=1)
+def own_weights_sha256() -> str:
+    """Hash of the own features' weights.
+
+    Raises:
+        WeightsError: they cannot be read.
+    """
+    try:
+        return hashlib.sha256(OWN_WEIGHTS.read_bytes()).hexdigest()
+    except OSError as error:
+        raise WeightsError(
+            f"{OWN_WEIGHTS.name}: the weights of the own features cannot be read ({error.strerror}); install MedColor anew"
+        ) from error
 
 
 def unit_descriptors(extractor: Extractor, greys: Iterable[np.ndarray], device: str = "cpu") -> np.ndarray:

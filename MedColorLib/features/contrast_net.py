@@ -9,19 +9,19 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
-from pathlib import Path
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
 from ..errors import InputError, SettingsError, WeightsError
+from . import OWN_WEIGHTS, own_weights_sha256
 
 CHANNELS = 32
 STRIDE = 4  # pixels of the luminance per position of the features
 MULTIPLE = 16  # height and width must be multiples of it: the coarsest level lies at a sixteenth
 
-WEIGHTS = Path(__file__).with_name("contrast_net.safetensors")
+WEIGHTS = OWN_WEIGHTS
 
 _NEAR_PX, _FAR_CELLS = 9, 9  # sides of the squares whose mean and deviation standardise a pixel: 9 pixels, 9 cells of 4
 _PLANES = 3
@@ -43,6 +43,10 @@ class Contrast:
         """
         self.device, self.context = torch.device(device), context
         self._network = _loaded(str(self.device))
+
+    def provenance(self) -> dict:
+        """Which weights, and what of them is used: for whoever keeps features or descriptors."""
+        return {"sha256": own_weights_sha256(), "context": self.context}
 
     def extract(self, luminance: Tensor, layers: Sequence[int]) -> dict[int, Tensor]:
         """(N, 1, H, W) -> layer: (N, 32, H / 2^(l-1), W / 2^(l-1)) unit length, float32, for layers among 3, 4, 5.

@@ -1,4 +1,4 @@
-"""A first, coarse correspondence that does not depend on contrast: the embedded self-similarity and the place in the body.
+"""A first, coarse correspondence that does not depend on contrast: self-similarity and the place in the body.
 
 Two stages ask it: which way up a photograph lies (`orientation`) and what luminance it has where the scan has which grey
 (`contrast`).
@@ -28,11 +28,11 @@ def coarse_match(greys, masks, reference_grey, reference_mask, position_weight: 
     """
     import torch
 
-    from ..features.embedded import Embedded
+    from ..features.self_similarity import SelfSimilarity
     from .analogy import Context, deep_image_analogy
 
     planes = (np.asarray(greys, np.float32)[:, None], reference_grey.astype(np.float32)[None, None])
-    target, reference = (Embedded().extract(torch.from_numpy(values), (5, LAYER)) for values in planes)
+    target, reference = (SelfSimilarity().extract(torch.from_numpy(values), (5, LAYER)) for values in planes)
     context = Context(position_weight, luminance_weight=0.0, target=None, reference=None)
     masks = torch.from_numpy(masks), torch.from_numpy(reference_mask)
     return deep_image_analogy(target, reference, *masks, LAYER, context)

@@ -15,10 +15,10 @@ HOME_POSITIONS = 2.0  # a way back that ends two positions of the layer off is t
 LEAST_TRUST = 0.05  # of a match whose way back leads elsewhere: it still counts where nothing better is near
 GREY_BELOW = 0.1  # mean confidence of a slice and its neighbours below which its colour fades to grey
 
-# Likeness (of features of layer 5, chance = 0, equal = 1) from which a match begins to be trusted, and is trusted in full.
-# Measured, VGG-19: heads after a head 0.39 to 0.48, self-pairs 0.66 to 0.84; a head after a thorax 0.21; blobs 0.15 to 0.29.
-# The own features, means of slices: scans after a photograph of
-# the same region 0.75 to 0.85, after one of another region 0.73 to 0.78, a photograph after itself 0.92.
+# Likeness (chance = 0, equal = 1) from which a match begins to be trusted, and is trusted in full. Measured, VGG-19, layer 5:
+# heads after a head 0.39 to 0.48, self-pairs 0.66 to 0.84; a head after a thorax 0.21; blobs 0.15 to 0.29. The own features,
+# means of slices: scans after a photograph of the same region 0.75 to 0.85, of another region 0.73 to 0.78, a photograph after
+# itself 0.92: they tell a match from none, not one region from another (see `wrong_reference`).
 LIKENESS_RANGE = {"vgg19": (0.12, 0.3), "gray-vgg19": (0.12, 0.3), "embedded": (0.55, 0.75)}
 
 

@@ -225,12 +225,12 @@ def _in_contrast(greys, masks, reference_grey, reference_mask) -> np.ndarray:
 
 
 def _features(greys: np.ndarray):
-    """Embedded features of layers 5 and 4 of (S, H, W) greys."""
+    """Self-similarity at layers 5 and 4 of (S, H, W) greys."""
     import torch
 
-    from ..features.embedded import Embedded
+    from ..features.self_similarity import SelfSimilarity
 
-    return Embedded().extract(torch.from_numpy(np.asarray(greys, np.float32)[:, None]), (5, LAYER))
+    return SelfSimilarity().extract(torch.from_numpy(np.asarray(greys, np.float32)[:, None]), (5, LAYER))
 
 
 def _similarities(

@@ -403,24 +403,13 @@ class Engine:
 
         from ..matching.analogy import deep_image_analogy
         from ..matching.coarse import mean_inside
-        from ..matching.contrast import match_contrast, seen_contrast, seen_luminance
-        from ..matching.usual import usual_colors
-        from ..matching.vote import matched_colors
+        from ..matching.contrast import match_contrast
 
         reference, needed = self.references[index], self.features_of(index)
         own = [k for k, chosen in self.choice.items() if chosen == index]
         greys, masks = self.slices_on_grid(sample_slices(own))
         if self.own_features:
-            field = self._own_match(index, greys * masks, masks).field
-            reference.contrast = seen_contrast(greys, masks, seen_luminance(reference.grey, field, OWN_LAYER))
-            lab = (
-                matched_colors(field, OWN_LAYER, self._on_device(reference.lab))
-                .permute(0, 2, 3, 1)
-                .float()
-                .cpu()
-                .numpy()
-            )
-            reference.usual = usual_colors(greys[masks], lab[masks])
+            self._learn_from_own_matches(index, greys, masks)
             log.info("contrast for %s: %s", reference.name, reference.contrast.describe())
             return
         mask_tensor = torch.from_numpy(masks).to(self.device)
@@ -432,6 +421,22 @@ class Engine:
 
         reference.contrast = match_contrast(greys, masks, reference.grey, reference.mask, coarse_similarity)
         log.info("contrast for %s: %s", reference.name, reference.contrast.describe())
+
+    def _learn_from_own_matches(self, index: int, greys: np.ndarray, masks: np.ndarray) -> None:
+        """What grey means, and its usual colours, from matches of slices (S, H, W); one at a time, for the memory's sake."""
+        from ..matching.contrast import seen_contrast, seen_luminance
+        from ..matching.usual import usual_colors
+        from ..matching.vote import matched_colors
+
+        reference = self.references[index]
+        own_lab = self._on_device(reference.lab)
+        fields = [self._own_match(index, (g * m)[None], m[None]).field for g, m in zip(greys, masks)]
+        seen = np.concatenate([seen_luminance(reference.grey, field, OWN_LAYER) for field in fields])
+        colors = [
+            matched_colors(field, OWN_LAYER, own_lab).permute(0, 2, 3, 1).float().cpu().numpy() for field in fields
+        ]
+        reference.contrast = seen_contrast(greys, masks, seen)
+        reference.usual = usual_colors(greys[masks], np.concatenate(colors)[masks])
 
     def _choose_references(self) -> dict[int, int]:
         """Slice -> index of its reference: the only one, or by likeness (cosine of descriptors) and order."""

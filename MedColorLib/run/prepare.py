@@ -69,7 +69,7 @@ def prepare(
     features = choose_features(settings.features, settings.preset)
     if settings.reconstruction == "lbfgs" and features == "embedded":
         raise SettingsError(
-            "reconstruction lbfgs inverts a network; the embedded features have none: use warp or vgg19"
+            "reconstruction lbfgs inverts a network of several layers; the own features have one: use warp or vgg19"
         )
     device = choose_device(settings.device) if find_device else settings.device
     prepared_references = load_references(references, settings.exposure, settings.reference_masks)

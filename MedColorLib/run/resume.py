@@ -29,6 +29,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..errors import SettingsError, WeightsError
+from ..features import own_weights_sha256
 from ..parameters import PRESETS
 
 if TYPE_CHECKING:
@@ -212,14 +213,14 @@ def run_key(prepared: Prepared) -> str:
     return hashlib.sha256(json.dumps(what, sort_keys=True).encode()).hexdigest()
 
 
-def weights_sha256(features: str) -> str | None:
-    """Hash of the weights of a resolved feature network; None for one that has none.
+def weights_sha256(features: str) -> str:
+    """Hash of the weights of a resolved feature network.
 
     Raises:
         WeightsError: they are not here, or damaged.
     """
     if features == "embedded":
-        return None
+        return own_weights_sha256()
     from ..features.weights import find_weights
 
     found = find_weights(features)
@@ -237,11 +238,11 @@ def _hash_of_weights(path: Path, size: int, modified_ns: int) -> str:
 
 
 @lru_cache(maxsize=1)
-def _code_sha256() -> str:
-    """Hash of this library's files: matches of another version or of changed code are not taken up."""
-    folder, total = Path(__file__).parent, hashlib.sha256()
-    for path in sorted(folder.rglob("*.py")):
-        total.update(path.relative_to(folder).as_posix().encode() + path.read_bytes())
+def _code_sha256(library: Path = Path(__file__).parents[1]) -> str:
+    """Hash of all code of this library: matches of another version or of changed code are not taken up."""
+    total = hashlib.sha256()
+    for path in sorted(library.rglob("*.py")):
+        total.update(path.relative_to(library).as_posix().encode() + path.read_bytes())
     return total.hexdigest()
 
 

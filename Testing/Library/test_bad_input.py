@@ -144,7 +144,7 @@ def test_references(folder, capfd, name, words):
         (("--region", "0", "1", "5", "5", "0", "1"), "region: expected three ranges"),
         (("--coherence", "-1"), "coherence_mm: expected 0 to 1000 mm"),
         (("--seed", "-1"), "seed: expected a whole number"),
-        (("--reconstruction", "lbfgs"), "the embedded features have none"),
+        (("--reconstruction", "lbfgs"), "the own features have one"),
         (("--features", "vgg19"), "features vgg19: no weights found; run 'medcolor weights fetch vgg19'"),
     ],
 )
@@ -163,13 +163,13 @@ def test_no_output_named(folder, capfd):
 )
 def test_weights(folder, capfd, monkeypatch, weights, words):
     monkeypatch.setenv("MEDCOLOR_WEIGHTS", str(folder / weights))
-    line = refused(folder, capfd, *colorize_line("ct.nrrd", "section.png", "--features", "auto"))
+    line = refused(folder, capfd, *colorize_line("ct.nrrd", "section.png", "--features", "auto", "--preset", "full"))
     assert words in line
 
 
-def test_embedded_features_need_no_look_at_weights(folder, monkeypatch):
+def test_own_features_need_no_look_at_weights(folder, monkeypatch):
     monkeypatch.setenv("MEDCOLOR_WEIGHTS", str(folder / "gone"))
-    assert main([*colorize_line()]) == 0
+    assert main([*colorize_line()]) == 0 and main([*colorize_line(), "--features", "auto"]) == 0
 
 
 def test_plan_finds_the_same_faults(folder, capfd):

@@ -11,7 +11,7 @@ from MedColorLib import Settings, Volume, colorize
 from MedColorLib.color.lab import lightness_to_gray, srgb_to_lab
 from MedColorLib.coloring.coherence import GUIDE_SIGMA, MOST_SLICES, SliceAverage, frames
 from MedColorLib.features import CONTEXT_WEIGHTS
-from MedColorLib.features.embedded import Embedded
+from MedColorLib.features.contrast_net import Contrast
 from MedColorLib.matching import analogy
 from MedColorLib.references.photograph import on_grid
 from MedColorLib.run.prepare import load_references
@@ -118,6 +118,8 @@ class TestConfidence:
         monkeypatch.setitem(confidence.LIKENESS_RANGE, "embedded", (2.0, 3.0))  # nothing is ever so alike
         result = colorize(part(ct), [ct.reference], settings())
         assert np.ptp(result.rgb, axis=-1).max() == 0 and result.rgb.any()
+        kept = colorize(part(ct), [ct.reference], settings(luminance="keep"))
+        np.testing.assert_array_equal(result.rgb, kept.rgb)  # nor is a lightness that nothing vouches for
         assert set(result.report["greyed_slices"].values()) == {0.0}
         assert "choose a reference of the same part of the body" in caplog.text
 
@@ -129,7 +131,7 @@ def test_vgg19_on_a_real_slice(shared_data, shared_weights, monkeypatch):
     monkeypatch.setenv("MEDCOLOR_WEIGHTS", str(shared_weights))
     volume = read_volume(shared_data / "vhf_head_ct.nrrd")
     one = Volume(volume.array[122:123], volume.ijk_to_ras, name="slice")
-    result = colorize(one, [shared_data / "vhf_head_cryosection.png"], settings(features="auto"))
+    result = colorize(one, [shared_data / "vhf_head_cryosection.png"], settings(features="vgg19"))
     assert result.report["plan"]["features"] == "vgg19"
     grey, rgb = one.array[0], result.rgb[0].astype(int)
     lab = srgb_to_lab(result.rgb[0])
@@ -141,7 +143,14 @@ def test_vgg19_on_a_real_slice(shared_data, shared_weights, monkeypatch):
 
 
 class TestWhatIsMatched:
-    """A scan of the reference's own section in inverted contrast: the right curve and context are known."""
+    """A scan of the reference's own section in inverted contrast: the right curve and context are known.
+
+    Of the paper's network, which sees contrast; which channels it has does not matter here.
+    """
+
+    @pytest.fixture(autouse=True)
+    def network(self, narrow_vgg19):
+        pass
 
     def inverted(self, ct) -> Volume:
         own = load_references([ct.reference])[0]
@@ -151,8 +160,10 @@ class TestWhatIsMatched:
 
     def run(self, volume, ct, monkeypatch, **changes):
         """Luminance whose features were matched, and the context that joined them."""
+        from MedColorLib.features.vgg19 import VGG19
+
         luminance, contexts = [], []
-        extract, match = Embedded.extract, analogy.deep_image_analogy
+        extract, match = VGG19.extract, analogy.deep_image_analogy
 
         def spied_extract(self, planes, layers):
             luminance.append((tuple(layers), planes))
@@ -162,9 +173,9 @@ class TestWhatIsMatched:
             contexts.append(arguments[5] if len(arguments) > 5 else options.get("context"))
             return match(*arguments, **options)
 
-        monkeypatch.setattr(Embedded, "extract", spied_extract)
+        monkeypatch.setattr(VGG19, "extract", spied_extract)
         monkeypatch.setattr(analogy, "deep_image_analogy", spied_match)
-        result = colorize(volume, [ct.reference], settings(**changes))
+        result = colorize(volume, [ct.reference], settings(features="vgg19", **changes))
         return result, luminance[-1][1][0, 0].numpy(), contexts[-1]
 
     def test_scan_in_the_contrast_of_the_photograph(self, ct, monkeypatch):
@@ -173,30 +184,58 @@ class TestWhatIsMatched:
         inside = mask & (seen > 0)
         assert np.corrcoef(seen[inside], grey[inside])[0, 1] > 0.9
         assert "learned" in result.report["contrast"]["reference 1"]
-        assert (context.position_weight, context.luminance_weight) == CONTEXT_WEIGHTS["embedded"]
+        assert (context.position_weight, context.luminance_weight) == CONTEXT_WEIGHTS["vgg19"]
         np.testing.assert_array_equal(context.target[0, 0].numpy(), seen)
         np.testing.assert_allclose(context.reference[0, 0].numpy(), grey, atol=1e-6)
 
     def test_grey_that_tells_nothing_does_not_join(self, ct, monkeypatch, rng):
         noise = np.where(ct.inside[4:5], rng.uniform(100, 300, (1, 64, 56)), -1000).astype(np.float32)
         result, _, context = self.run(with_spacing(noise, 1, 1, 1), ct, monkeypatch)
-        assert context.luminance_weight < 0.2 * CONTEXT_WEIGHTS["embedded"][1]
+        assert context.luminance_weight < 0.2 * CONTEXT_WEIGHTS["vgg19"][1]
         assert "histogram match" in result.report["contrast"]["reference 1"]
 
     def test_full_is_the_paper_without_context(self, ct, monkeypatch):
         assert self.run(part(ct, np.s_[4:5]), ct, monkeypatch, preset="full")[2] is None
 
 
+class TestOwnFeatures:
+    """They see no contrast: the scan is matched as it is, and what grey means is read off the matches."""
+
+    def test_the_scans_own_grey_is_matched_whatever_the_photographs(self, ct, monkeypatch):
+        seen, extract = [], Contrast.extract
+
+        def spied(self, luminance, layers):
+            seen.append(luminance.clone())
+            return extract(self, luminance, layers)
+
+        volume = TestWhatIsMatched().inverted(ct)
+        monkeypatch.setattr(Contrast, "extract", spied)
+        result = colorize(volume, [ct.reference], DRAFT)
+        photograph, scan = seen[0][0, 0].numpy(), seen[-1][0, 0].numpy()
+        inside = (photograph > 0) & (scan > 0)
+        assert np.corrcoef(photograph[inside], scan[inside])[0, 1] < -0.9
+        assert result.report["contrast"]["reference 1"].startswith("as the matches show it")
+
+    def test_what_grey_means_falls_where_the_contrast_is_inverted(self, ct):
+        from MedColorLib.progress import Run
+        from MedColorLib.run.engine import Engine
+        from MedColorLib.run.prepare import prepare
+
+        prepared = prepare(TestWhatIsMatched().inverted(ct), [ct.reference], DRAFT)
+        contrast = Engine(prepared, Run(None, None)).references[0].contrast
+        assert contrast.curve[40] > contrast.curve[200] + 0.3 and contrast.explained > 0.5
+
+
 def test_extractor_sees_grey_of_the_grid_only(ct, monkeypatch):
     """No colour and nothing outside the body reaches the features."""
     seen = []
-    extract = Embedded.extract
+    extract = Contrast.extract
 
     def spied(self, luminance, layers):
         seen.append(luminance.clone())
         return extract(self, luminance, layers)
 
-    monkeypatch.setattr(Embedded, "extract", spied)
+    monkeypatch.setattr(Contrast, "extract", spied)
     colorize(part(ct), [ct.reference], DRAFT)
     for luminance in seen:
         assert luminance.shape[1:] == (1, 64, 64) and luminance.dtype == torch.float32

@@ -18,6 +18,7 @@ from MedColorLib.cohort.batch import Found, color_file, find_volumes, make_tasks
 from MedColorLib.errors import InputError, OutputError, SettingsError
 from MedColorLib.io.files import _READERS, input_sha256
 from MedColorLib.matching import vote
+from MedColorLib.run.resume import RunStore
 
 
 class TestFinding:
@@ -157,17 +158,17 @@ class TestBatch:
 
     def test_interrupted_inside_a_volume(self, cohort, monkeypatch):
         """The finished one is skipped, the broken-off one goes on from its matches, no temporary file is left."""
-        colors, calls = vote.matched_colors, []
+        save, calls = RunStore.save, []
 
         def interrupting(*arguments):
             calls.append(1)
             if len(calls) == 8:  # batches of one slice: the fourth of the second volume
                 raise KeyboardInterrupt
-            return colors(*arguments)
+            return save(*arguments)
 
         one_by_one = Settings(preset="draft", features="embedded", device="cpu", batch=1)
         with monkeypatch.context() as patch:
-            patch.setattr(vote, "matched_colors", interrupting)
+            patch.setattr(RunStore, "save", interrupting)
             with pytest.raises(KeyboardInterrupt):
                 run_batch("in", ["section.png"], "out", one_by_one)
         summary = json.loads(Path("out/batch.json").read_text())

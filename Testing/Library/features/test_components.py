@@ -77,7 +77,7 @@ class TestSettings:
         assert Settings(reconstruction="lbfgs").components is None
         assert Settings().components == PRESETS["balanced"].components > 0
 
-    def test_embedded_features_have_fewer_channels_and_stay_as_they_are(self):
+    def test_own_features_have_fewer_channels_and_stay_as_they_are(self):
         from MedColorLib.phantom import section
 
         volume = Volume(np.random.default_rng(0).normal(100, 20, (2, 40, 40)).astype(np.float32), np.eye(4))

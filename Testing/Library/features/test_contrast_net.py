@@ -65,6 +65,16 @@ def test_layers_of_the_extractor():
         extractor.extract(torch.rand(1, 1, 64, 64), (1,))
 
 
+def test_a_slightly_changed_slice_is_described_most_like_itself():
+    generator = torch.Generator().manual_seed(0)
+    coarse = torch.rand(6, 1, 8, 6, generator=generator)
+    slices = torch.nn.functional.interpolate(coarse, size=(64, 48), mode="bilinear")
+    noise = 0.03 * torch.randn(6, 1, 64, 48, generator=generator)
+    extractor = contrast_net.Contrast()
+    library, queries = extractor.descriptor(slices), extractor.descriptor((slices + noise).clamp(0, 1))
+    assert (queries @ library.T).argmax(1).tolist() == list(range(6))
+
+
 def test_weights_are_small_and_those_of_the_log():
     content = contrast_net.WEIGHTS.read_bytes()
     assert len(content) < 1_000_000

@@ -10,7 +10,7 @@ import torch
 
 from MedColorLib import Settings, colorize, make_plan
 from MedColorLib.features import kept
-from MedColorLib.features.embedded import Embedded
+from MedColorLib.features.contrast_net import Contrast
 from MedColorLib.features.kept import reference_features
 
 LAYERS = (5, 4, 3)
@@ -118,8 +118,8 @@ def test_what_is_no_kept_feature_is_never_deleted(folder, monkeypatch):
     assert not (folder / f"{'b' * 64}.safetensors").exists() and len(list(folder.iterdir())) == 4
 
 
-def test_embedded_features_are_not_kept(folder):
-    assert reference_features(Embedded(), picture(), LAYERS)[1] is False
+def test_own_features_are_not_kept(folder):
+    assert reference_features(Contrast(), picture(), LAYERS)[1] is False
     assert not folder.exists()
 
 

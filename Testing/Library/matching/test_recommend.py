@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from MedColorLib.errors import Cancelled, InputError
-from MedColorLib.features.embedded import Embedded
+from MedColorLib.features.contrast_net import Contrast
 from MedColorLib.matching.recommend import Recommender, index_library, recommend
 from MedColorLib.phantom import section
 
@@ -40,8 +40,8 @@ def library(tmp_path, sections):
 def described(monkeypatch):
     """Number of pictures or slices described so far."""
     seen = []
-    descriptor = Embedded.descriptor
-    monkeypatch.setattr(Embedded, "descriptor", lambda self, x: seen.append(len(x)) or descriptor(self, x))
+    descriptor = Contrast.descriptor
+    monkeypatch.setattr(Contrast, "descriptor", lambda self, x: seen.append(len(x)) or descriptor(self, x))
     return seen
 
 
@@ -114,7 +114,7 @@ def test_a_slice_without_body(ct, library):
 
 
 def test_cancelling_keeps_what_has_been_described(library, described):
-    extractor, seen = Embedded(), []
+    extractor, seen = Contrast(), []
     with pytest.raises(Cancelled):
         index_library(library, extractor, lambda *step: seen.append(step), lambda: len(seen) >= 2)
     assert len(described) == 2 and [fraction for fraction, _ in seen] == [0, pytest.approx(1 / 3)]

@@ -10,9 +10,9 @@ import pytest
 from MedColorLib import Settings, Volume, colorize, make_plan
 from MedColorLib.coloring import transfer
 from MedColorLib.errors import InputError, SettingsError
-from MedColorLib.features.embedded import Embedded
+from MedColorLib.features.contrast_net import Contrast
 from MedColorLib.filters import FILTERS
-from MedColorLib.matching import analogy
+from MedColorLib.matching import analogy, contrast_match
 from MedColorLib.parameters import PRESETS
 from MedColorLib.phantom import section
 from MedColorLib.plan import LeftOut, Plan
@@ -58,9 +58,9 @@ def calls(monkeypatch):
 
 @pytest.fixture
 def extracted(calls):
-    """(slices, layers) of every extraction; the matching itself is known by its three layers."""
-    seen = calls(Embedded, "extract")
-    return lambda layers=(5, 4, 3): [len(a[1]) for a, _ in seen if tuple(a[2]) == layers]
+    """Slices of every extraction: the reference, slices from which its contrast is learned, then those that are coloured."""
+    seen = calls(Contrast, "extract")
+    return lambda: [len(a[1]) for a, _ in seen]
 
 
 class TestNothingHeavyIsDone:
@@ -68,7 +68,12 @@ class TestNothingHeavyIsDone:
         def refuse(*_):
             raise AssertionError("the plan computed something")
 
-        for owner, name in ((Embedded, "extract"), (Embedded, "descriptor"), (analogy, "deep_image_analogy")):
+        for owner, name in (
+            (Contrast, "extract"),
+            (Contrast, "descriptor"),
+            (analogy, "deep_image_analogy"),
+            (contrast_match, "match"),
+        ):
             monkeypatch.setattr(owner, name, refuse)
         plan = make_plan(ct.volume, [ct.reference, section(0.3)], settings())
         assert plan.features == "embedded" and plan.device == "cpu" and plan.smoother == "regression"
@@ -99,24 +104,41 @@ class TestText:
         steps = make_plan(ct.volume, [ct.reference], settings(features="embedded", window=(-100, 300))).steps
         assert steps["window"] == "-100 to 300 (given)"
         assert "phantom CT, 12 x 64 x 56 (k, j, i) int16; slices run along array axis k" in steps["volume"]
-        assert "embedded descriptors (no download), layers 5 to 3, raster 64 x 64, on cpu" in steps["features"]
+        assert "MedColor's own network (no download), one layer, raster 64 x 64, on cpu" in steps["features"]
         assert steps["body"].startswith("12 of 12 slices") or steps["body"].startswith("11 of 12 slices")
         assert (
-            "regression, cell_px 8, bins 32, support_px 4, levels 3; luminance of the scan; gamma off"
-            in steps["colour"]
-        )
+            "regression, cell_px 8, bins 32, support_px 4, levels 3; luminance of the reference's tissues with the scan's "
+            "detail (90 % of the way); gamma off"
+        ) in steps["colour"]
+
+    @pytest.mark.parametrize(
+        ("changes", "words"),
+        [
+            ({"luminance": "keep"}, "luminance of the scan;"),
+            ({"luminance": "paper"}, "luminance of the reference (paper);"),
+            ({"lightness": 0.25}, "luminance of the reference's tissues with the scan's detail (25 % of the way);"),
+        ],
+    )
+    def test_says_whose_luminance(self, ct, changes, words):
+        assert words in make_plan(ct.volume, [ct.reference], settings(**changes)).steps["colour"]
 
     def test_auto_says_which(self, ct, monkeypatch, tmp_path):
         monkeypatch.delenv("MEDCOLOR_WEIGHTS", raising=False)
         monkeypatch.setattr("MedColorLib.features.weights.cache_folder", lambda: tmp_path)
-        steps = make_plan(ct.volume, [ct.reference], settings(features="auto")).steps
-        assert "embedded descriptors (no download) (auto)" in steps["features"]
+        for preset in PRESETS:
+            steps = make_plan(ct.volume, [ct.reference], settings(features="auto", preset=preset)).steps
+            assert "MedColor's own network (no download) (auto)" in steps["features"]
 
-    def test_vgg19(self, ct, shared_weights, monkeypatch):
-        monkeypatch.setenv("MEDCOLOR_WEIGHTS", str(shared_weights))
-        plan = make_plan(ct.volume, [ct.reference], settings(features="auto"))
+    @pytest.mark.parametrize("preset", PRESETS)
+    def test_auto_where_the_papers_network_is(self, ct, narrow_vgg19, preset):
+        plan = make_plan(ct.volume, [ct.reference], settings(features="auto", preset=preset))
+        assert plan.features == ("vgg19" if preset == "full" else "embedded")
+        assert (" VGG-19 (auto), layers 5 to 1," in f" {plan.steps['features']}") == (preset == "full")
+
+    def test_vgg19(self, ct, narrow_vgg19):
+        plan = make_plan(ct.volume, [ct.reference], settings(features="vgg19"))
         assert any("all but 96 components" in entry.what for entry in plan.left_out)
-        assert plan.features == "vgg19" and "VGG-19 (auto)" in plan.steps["features"]
+        assert plan.features == "vgg19" and "VGG-19, layers 5 to 3," in plan.steps["features"]
         assert entry(plan, "L-BFGS deconvolution") and "411 MB" in entry(plan, "recommendation (fc6)").saving
         lbfgs = make_plan(ct.volume, [ct.reference], settings(features="vgg19", reconstruction="lbfgs"))
         assert entry(lbfgs, "L-BFGS deconvolution") is None
@@ -134,7 +156,9 @@ class TestSlices:
         result = colorize(volume, [ct.reference], settings(batch=1))
         plan = make_plan(volume, [ct.reference], settings())
         assert plan.slices == (1, 2, 4) and entry(plan, "empty slices").saving == "4 of 7 slices"
-        assert extracted() == [1, 1, 1, 1]  # the reference and three slices
+        assert (
+            extracted() == [1] + [1] * 3 + [1] * 3
+        )  # the reference, three slices for its contrast, the same to be coloured
         assert not result.rgb[[0, 3, 5, 6]].any() and result.rgb[[1, 2, 4]].any((1, 2, 3)).all()
 
     def test_slices_outside_the_range(self, ct, extracted):
@@ -143,7 +167,7 @@ class TestSlices:
         assert plan.slices == (4, 5, 6)
         left = entry(plan, "slices outside the range")
         assert left.saving == f"{len(make_plan(ct.volume, [ct.reference], settings()).slices) - 3} slices"
-        assert extracted() == [1, 3]
+        assert extracted() == [1] + [1] * 3 + [3]
         assert not result.rgb[:4].any() and not result.rgb[7:].any() and result.rgb[4:7].any((1, 2, 3)).all()
 
     def test_colors_of_a_range_do_not_depend_on_the_order_of_the_rest(self, ct):
@@ -194,7 +218,13 @@ class TestRegion:
         plan = make_plan(middle(ct), [ct.reference], settings(region=region))
         assert plan.slices == (1, 2) and entry(plan, "outside the region of interest")
         result = colorize(middle(ct), [ct.reference], settings(region=region, batch=8))
-        assert extracted() == [1, 2] and result.rgb.any((1, 2, 3)).tolist() == [False, True, True, False, False]
+        assert extracted() == [1] + [1] * 2 + [2] and result.rgb.any((1, 2, 3)).tolist() == [
+            False,
+            True,
+            True,
+            False,
+            False,
+        ]
 
     def test_no_entry_without_a_region(self, ct):
         assert entry(make_plan(middle(ct), [ct.reference], settings()), "outside the region of interest") is None
@@ -218,10 +248,10 @@ class TestRepeats:
         plan = make_plan(volume, [ct.reference], settings(**changes))
         assert entry(plan, "repeated slices").saving == "3 slices" and entry(plan, "repeated slices").error == "none"
         result = colorize(volume, [ct.reference], settings(**changes))
-        assert sum(extracted()) == 1 + 4
+        assert sum(extracted()) == 1 + 7 + 4
         monkeypatch.setattr(prepare, "_repeats", lambda *_: {})
         every = colorize(volume, [ct.reference], settings(**changes))
-        assert sum(extracted()) == 5 + 1 + 7
+        assert sum(extracted()) == 12 + 1 + 7 + 7
         np.testing.assert_array_equal(result.rgb, every.rgb)
 
     def test_slices_that_differ_in_one_voxel_are_no_repeats(self, ct):
@@ -240,14 +270,14 @@ class TestReferences:
         plan = make_plan(middle(ct), [ct.reference], settings())
         assert entry(plan, "reference features for every slice").saving == "4 of 5 extractions"
         colorize(middle(ct), [ct.reference], settings(batch=2))
-        assert extracted() == [1, 2, 2, 1]
+        assert extracted() == [1] + [1] * 5 + [2, 2, 1]
 
     def test_one_slice_has_nothing_to_share(self, ct):
         plan = make_plan(scan(ct.volume.array[4:5]), [ct.reference], settings())
         assert entry(plan, "reference features for every slice") is None
 
     def test_no_descriptor_where_the_reference_is_given(self, ct, calls):
-        described = calls(Embedded, "descriptor")
+        described = calls(Contrast, "descriptor")
         assert entry(make_plan(middle(ct), [ct.reference], settings()), "recommendation (fc6)")
         colorize(middle(ct), [ct.reference], settings())
         assert not described
@@ -274,30 +304,45 @@ class TestMatching:
 
     def test_reverse_map_of_the_last_layer_changes_nothing(self, ct, monkeypatch):
         without = colorize(middle(ct), [ct.reference], settings(smoother="guided"))
-        matched = analogy.deep_image_analogy
-        monkeypatch.setattr(analogy, "deep_image_analogy", lambda *a, **o: matched(*a, **{**o, "keep_reverse": True}))
+        matched, seen = contrast_match.match, []
+        with_reverse = lambda *a, **o: seen.append(o["keep_reverse"]) or matched(*a, **{**o, "keep_reverse": True})  # noqa: E731
+        monkeypatch.setattr(contrast_match, "match", with_reverse)
         kept = colorize(middle(ct), [ct.reference], settings(smoother="guided"))
+        assert seen and not any(seen)
         np.testing.assert_array_equal(without.rgb, kept.rgb)
+
+    @pytest.mark.parametrize("preset", ["draft", "full"])
+    def test_own_features_have_one_layer_and_one_search_a_slice(self, ct, calls, preset):
+        plan = make_plan(middle(ct), [ct.reference], settings(preset=preset))
+        assert entry(plan, "latent pictures, contrast curve, layers 5, 4, 2, 1")
+        seen, searched = calls(Contrast, "extract"), calls(contrast_match.exact, "search")
+        result = colorize(middle(ct), [ct.reference], settings(preset=preset, batch=1))
+        assert {tuple(a[2]) for a, _ in seen} == {(3,)} and result.report["searched"] == {"3": "exact"}
+        own = [a for a, _ in searched if a[0].shape[2:] == (16, 16)]
+        assert [len(a[0]) for a in own] == [1] * (5 + 5)  # for the contrast, and for the colours
 
     @pytest.mark.parametrize(
         ("preset", "below"), [("draft", "layers 2, 1"), ("balanced", "layers 2, 1"), ("full", None)]
     )
-    def test_layers_below_the_last(self, ct, calls, preset, below):
-        plan = make_plan(scan(ct.volume.array[4:5]), [ct.reference], settings(preset=preset))
+    def test_layers_below_the_last(self, ct, calls, preset, below, narrow_vgg19):
+        from MedColorLib.features.vgg19 import VGG19
+
+        chosen = settings(preset=preset, features="vgg19")
+        plan = make_plan(scan(ct.volume.array[4:5]), [ct.reference], chosen)
         assert [e.what for e in plan.left_out if e.what.startswith("layers")] == ([below] if below else [])
-        seen = calls(Embedded, "extract")
-        result = colorize(scan(ct.volume.array[4:5]), [ct.reference], settings(preset=preset))
+        seen = calls(VGG19, "extract")
+        result = colorize(scan(ct.volume.array[4:5]), [ct.reference], chosen)
         finest = min(min(a[2]) for a, _ in seen)
         assert finest == PRESETS[preset].stop_layer == min(map(int, result.report["searched"]))
 
     def test_no_deconvolution_unless_asked_for(self, ct):
-        with pytest.raises(SettingsError, match="lbfgs inverts a network; the embedded features have none"):
+        with pytest.raises(SettingsError, match="lbfgs inverts a network of several layers; the own features have one"):
             make_plan(middle(ct), [ct.reference], settings(reconstruction="lbfgs"))
         assert entry(make_plan(middle(ct), [ct.reference], settings()), "L-BFGS deconvolution") is None
 
 
 class TestColor:
-    @pytest.mark.parametrize(("luminance", "channels"), [("keep", 2), ("paper", 3)])
+    @pytest.mark.parametrize(("luminance", "channels"), [("keep", 2), ("natural", 3), ("paper", 3)])
     def test_one_solve_of_the_channels_that_are_needed(self, ct, monkeypatch, luminance, channels):
         sources = []
         smooth = FILTERS["fgs"]
@@ -311,24 +356,25 @@ class TestColor:
         assert [shape[2] for shape in sources] == [channels + 1] * 5  # and the weights
 
     def test_smoothing_of_lightness_would_change_nothing(self, ct, monkeypatch):
-        kept = colorize(middle(ct), [ct.reference], settings(smoother="fgs", gamma=False))
+        kept = colorize(middle(ct), [ct.reference], settings(smoother="fgs", gamma=False, luminance="keep"))
         smooth = FILTERS["fgs"]
 
         def with_lightness(source, guide, *more):
             return smooth(np.concatenate([np.float32(guide[..., None]), source], -1), guide, *more)[..., 1:]
 
         monkeypatch.setitem(FILTERS, "fgs", with_lightness)
-        every = colorize(middle(ct), [ct.reference], settings(smoother="fgs", gamma=False))
+        every = colorize(middle(ct), [ct.reference], settings(smoother="fgs", gamma=False, luminance="keep"))
         assert np.abs(kept.rgb.astype(int) - every.rgb).max() <= 1
 
-    def test_remainder_of_the_regression_is_smoothed_on_half_the_raster(self, ct, monkeypatch):
+    @pytest.mark.parametrize(("luminance", "channels"), [("keep", 2), ("natural", 3)])
+    def test_remainder_of_the_regression_is_smoothed_on_half_the_raster(self, ct, monkeypatch, luminance, channels):
         sources = []
         smooth = FILTERS["fgs"]
         monkeypatch.setitem(FILTERS, "fgs", lambda source, *more: sources.append(source.shape) or smooth(source, *more))
-        plan = make_plan(middle(ct), [ct.reference], settings())
+        plan = make_plan(middle(ct), [ct.reference], settings(luminance=luminance))
         assert entry(plan, "smoothing at full resolution")
-        colorize(middle(ct), [ct.reference], settings())
-        assert sources == [(24, 24, 3)] * 5  # raster 64 without its margin, halved; a*, b* and the weight
+        colorize(middle(ct), [ct.reference], settings(luminance=luminance))
+        assert sources == [(24, 24, channels + 1)] * 5  # raster 64 without its margin, halved; colour and the weight
 
     def test_no_confidence_volume_unless_asked_for(self, ct):
         for wanted in (False, True):

@@ -15,17 +15,19 @@ import torch
 from resume_samples import broken_off, files_of, settings
 from safetensors.torch import save_file
 
+import MedColorLib
 from MedColorLib import Resume, colorize, forget_run
 from MedColorLib.errors import SettingsError
-from MedColorLib.matching import analogy, vote
+from MedColorLib.matching import analogy
 from MedColorLib.phantom import section
 from MedColorLib.run import resume as resume_module
+from MedColorLib.run.engine import Engine
 from MedColorLib.run.prepare import prepare
-from MedColorLib.run.resume import RunStore, run_key
+from MedColorLib.run.resume import RunStore, _code_sha256, run_key
 
 KINDS = {
     "draft": {"preset": "draft"},
-    "full": {"preset": "full"},
+    "full": {"preset": "full", "features": "vgg19"},
     "guided": {"preset": "draft", "smoother": "guided"},
     "one by one": {"preset": "draft", "batch": 1},
 }
@@ -33,22 +35,21 @@ KINDS = {
 
 @pytest.fixture
 def matched(monkeypatch) -> list[int]:
-    """Fills with the number of slices of every match that goes to the last layer."""
-    counts, match = [], analogy.deep_image_analogy
+    """Fills with the number of slices of every match that is made for colouring."""
+    counts, match = [], Engine._correspondence
 
-    def counted(*arguments, **options):
-        if "keep_reverse" in options:
-            counts.append(len(arguments[0][5]))
-        return match(*arguments, **options)
+    def counted(engine, index, greys, *more):
+        counts.append(len(greys))
+        return match(engine, index, greys, *more)
 
-    monkeypatch.setattr(analogy, "deep_image_analogy", counted)
+    monkeypatch.setattr(Engine, "_correspondence", counted)
     return counts
 
 
 @pytest.mark.usefixtures("small_raster")
 class TestSameBytes:
     @pytest.mark.parametrize("kind", KINDS)
-    def test_cancelled_before_any_step(self, volume, references, kind, matched, tmp_path):
+    def test_cancelled_before_any_step(self, volume, references, kind, matched, tmp_path, narrow_vgg19):
         """Steps: prepare, network, then the batches; two references and a repeated slice cut these short."""
         chosen = settings(**KINDS[kind])
         plain = colorize(volume, references, chosen)
@@ -90,16 +91,16 @@ class TestSameBytes:
         assert matched == [1] * 8 and result.rgb.tobytes() == plain.rgb.tobytes()
 
     def test_ended_by_an_error(self, volume, references, matched, tmp_path, monkeypatch):
-        plain, colors, calls = colorize(volume, references, settings()), vote.matched_colors, []
+        plain, save, calls = colorize(volume, references, settings()), RunStore.save, []
         matched.clear()
 
         def failing(*arguments):
             calls.append(1)
-            if len(calls) == 3:
+            if len(calls) == 3:  # matched, and not yet kept
                 raise RuntimeError("power cut")
-            return colors(*arguments)
+            return save(*arguments)
 
-        monkeypatch.setattr(vote, "matched_colors", failing)
+        monkeypatch.setattr(RunStore, "save", failing)
         with pytest.raises(RuntimeError, match="power cut"):
             colorize(volume, references, settings(), resume=tmp_path)
         result = colorize(volume, references, settings(), resume=tmp_path)
@@ -180,6 +181,21 @@ class TestWhoseMatches:
         monkeypatch.setattr(resume_module, name, lambda *_: "other")
         assert run_key(prepare(volume, references, settings())) != before
 
+    @pytest.mark.parametrize("name", ["run/resume.py", "matching/fields/exact.py", "volume.py"])
+    def test_code_of_any_folder_counts(self, name, tmp_path):
+        library = tmp_path / "library"
+        shutil.copytree(Path(MedColorLib.__file__).parent, library, ignore=shutil.ignore_patterns("*.pyc"))
+        assert _code_sha256() == _code_sha256(library)
+        with (library / name).open("a") as file:
+            file.write("# changed\n")
+        _code_sha256.cache_clear()
+        assert _code_sha256(library) != _code_sha256()
+
+    def test_own_weights_count(self, volume, references, monkeypatch):
+        before = run_key(prepare(volume, references, settings()))
+        monkeypatch.setattr(resume_module, "own_weights_sha256", lambda: "other")
+        assert run_key(prepare(volume, references, settings())) != before
+
     def test_other_threads_round_differently(self, volume, references, monkeypatch):
         before = run_key(prepare(volume, references, settings()))
         monkeypatch.setattr(torch, "get_num_threads", lambda: 77)
@@ -191,6 +207,11 @@ class TestWhoseMatches:
         result = colorize(volume, references, other, resume=tmp_path)
         assert result.report["resumed_slices"] == 0
         assert result.rgb.tobytes() == colorize(volume, references, other).rgb.tobytes()
+
+
+def said_of_resume(caplog) -> list[str]:
+    """What the log says of interrupted runs."""
+    return [text for text in caplog.messages if text.startswith("resume: ")]
 
 
 def truncate(path: Path) -> None:
@@ -221,8 +242,8 @@ class TestStore:
         matched.clear()
         with caplog.at_level(logging.WARNING, "MedColor"):
             result = colorize(volume, references, settings(), resume=tmp_path)
-        assert len(caplog.records) == 1 and "slices 0 to 1 are matched again" in caplog.text
-        assert "damaged" in caplog.text and str(tmp_path) not in caplog.text
+        (said,) = said_of_resume(caplog)
+        assert "slices 0 to 1 are matched again" in said and "damaged" in said and str(tmp_path) not in caplog.text
         assert result.rgb.tobytes() == plain.rgb.tobytes()
         assert result.report["resumed_slices"] == 8 - sum(matched) == 3
         again = colorize(volume, references, settings(), resume=tmp_path)
@@ -233,7 +254,7 @@ class TestStore:
         plain = colorize(volume, references, settings())
         with caplog.at_level(logging.WARNING, "MedColor"):
             result = colorize(volume, references, settings(), resume=tmp_path / "file")
-        assert [record.getMessage() for record in caplog.records] == [
+        assert said_of_resume(caplog) == [
             "resume: the folder of unfinished runs cannot be written (Not a directory); what is matched from here on "
             "cannot be resumed"
         ]

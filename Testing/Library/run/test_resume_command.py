@@ -19,7 +19,7 @@ from volume_samples import save_nrrd
 
 from MedColorLib import colorize, make_plan, read_color_volume
 from MedColorLib.cli.main import main
-from MedColorLib.matching import vote
+from MedColorLib.run.resume import RunStore
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -69,16 +69,16 @@ LINE = ("colorize", "ct.nrrd", "-r", "section.png", "--preset", "draft", "--feat
 @pytest.mark.usefixtures("small_raster")
 class TestCommandLine:
     def test_ctrl_c_and_on(self, case, monkeypatch, capfd):
-        colors, calls = vote.matched_colors, []
+        save, calls = RunStore.save, []
 
         def interrupting(*arguments):
             calls.append(1)
-            if len(calls) == 2:
+            if len(calls) == 2:  # the second batch is matched, and not yet kept
                 raise KeyboardInterrupt
-            return colors(*arguments)
+            return save(*arguments)
 
         assert main([*LINE, "-o", "plain.nrrd"]) == 0
-        monkeypatch.setattr(vote, "matched_colors", interrupting)
+        monkeypatch.setattr(RunStore, "save", interrupting)
         assert main([*LINE, "-o", "out.nrrd", "--resume"]) == 130
         assert capfd.readouterr().err == (
             "medcolor: interrupted; nothing was written; the same command goes on from there (--resume)\n"

@@ -1,4 +1,4 @@
-"""Embedded features: the definition of MIND by loops, what it must not see (contrast), and what must not break it."""
+"""Self-similarity: the definition of MIND by loops, what it must not see (contrast), and what must not break it."""
 
 from __future__ import annotations
 
@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from MedColorLib.errors import SettingsError, WeightsError
-from MedColorLib.features import EXTRACTORS, choose_features, make_extractor
-from MedColorLib.features.embedded import Embedded, mind
+from MedColorLib.features.self_similarity import SelfSimilarity, mind
 
 RING = ((0, 1), (1, 0), (0, -1), (-1, 0), (1, 1), (-1, -1), (1, -1), (-1, 1))
 ALL = (1, 2, 3, 4, 5)
@@ -64,7 +62,7 @@ def test_zero_mean_and_unit_length():
 
 @pytest.mark.parametrize(("height", "width"), [(48, 48), (64, 48), (48, 160)])
 def test_shapes_of_all_layers(height, width):
-    features = Embedded().extract(pictures(2, height, width), ALL)
+    features = SelfSimilarity().extract(pictures(2, height, width), ALL)
     for layer in ALL:
         side = 2 ** (layer - 1)
         assert features[layer].shape[0] == 2 and features[layer].shape[2:] == (height // side, width // side)
@@ -73,13 +71,13 @@ def test_shapes_of_all_layers(height, width):
 
 
 def test_only_the_layers_asked_for_and_each_without_the_others():
-    both = Embedded().extract(pictures(), (5, 3))
+    both = SelfSimilarity().extract(pictures(), (5, 3))
     assert sorted(both) == [3, 5]
-    torch.testing.assert_close(Embedded().extract(pictures(), (3,))[3], both[3], rtol=0, atol=0)
+    torch.testing.assert_close(SelfSimilarity().extract(pictures(), (3,))[3], both[3], rtol=0, atol=0)
 
 
 def test_inverted_contrast_is_not_seen():
-    features, inverted = (Embedded().extract(p, ALL) for p in (pictures(), 1 - pictures()))
+    features, inverted = (SelfSimilarity().extract(p, ALL) for p in (pictures(), 1 - pictures()))
     for layer in ALL:
         torch.testing.assert_close(features[layer], inverted[layer], atol=2e-3, rtol=0)
 
@@ -89,7 +87,7 @@ def test_brightness_and_contrast_are_not_seen_by_mind():
 
 
 def test_another_picture_is_seen():
-    features, other = (Embedded().extract(pictures(seed=seed), (3,))[3] for seed in (0, 1))
+    features, other = (SelfSimilarity().extract(pictures(seed=seed), (3,))[3] for seed in (0, 1))
     assert torch.nn.functional.cosine_similarity(features, other).mean() < 0.9
 
 
@@ -97,23 +95,22 @@ def test_another_picture_is_seen():
 def test_constant_pictures_give_no_nan(level):
     constant = torch.full((1, 1, 48, 48), level)
     assert not mind(constant).any()
-    for values in Embedded().extract(constant, ALL).values():
+    for values in SelfSimilarity().extract(constant, ALL).values():
         assert torch.isfinite(values).all()
-    assert torch.isfinite(Embedded().descriptor(constant)).all()
 
 
 def test_a_single_bright_pixel_in_black():
     picture = torch.zeros(1, 1, 48, 48)
     picture[0, 0, 20, 30] = 1
-    for values in Embedded().extract(picture, ALL).values():
+    for values in SelfSimilarity().extract(picture, ALL).values():
         assert torch.isfinite(values).all() and values.abs().max() <= 1 + 1e-5
 
 
 def test_slices_together_as_alone():
     batch = pictures(3)
-    together = Embedded().extract(batch, ALL)
+    together = SelfSimilarity().extract(batch, ALL)
     for n, layer in product(range(3), ALL):
-        alone = Embedded().extract(batch[n : n + 1], (layer,))[layer]
+        alone = SelfSimilarity().extract(batch[n : n + 1], (layer,))[layer]
         torch.testing.assert_close(together[layer][n : n + 1], alone, rtol=0, atol=1e-6)
 
 
@@ -122,7 +119,7 @@ def test_moves_with_the_picture():
     moved = torch.roll(picture, 16, 3)
     for layer in (1, 3, 5):
         step = 16 // 2 ** (layer - 1)
-        features, shifted = (Embedded().extract(p, (layer,))[layer] for p in (picture, moved))
+        features, shifted = (SelfSimilarity().extract(p, (layer,))[layer] for p in (picture, moved))
         inner = slice(step + 3, -step - 3)
         torch.testing.assert_close(torch.roll(features, step, 3)[..., inner], shifted[..., inner], atol=1e-4, rtol=0)
 
@@ -130,45 +127,5 @@ def test_moves_with_the_picture():
 def test_input_is_not_altered():
     picture = pictures()
     before = picture.clone()
-    Embedded().extract(picture, ALL)
-    Embedded().descriptor(picture)
+    SelfSimilarity().extract(picture, ALL)
     torch.testing.assert_close(picture, before, rtol=0, atol=0)
-
-
-class TestDescriptor:
-    def test_unit_length_and_one_row_a_slice(self):
-        descriptors = Embedded().descriptor(pictures(3))
-        assert descriptors.ndim == 2
-        torch.testing.assert_close(descriptors.norm(dim=1), torch.ones(3))
-
-    def test_a_slightly_changed_slice_is_nearest_to_itself(self):
-        library = Embedded().descriptor(pictures(6))
-        noise = 0.03 * torch.randn(6, 1, 64, 48, generator=torch.Generator().manual_seed(1))
-        queries = Embedded().descriptor((pictures(6) + noise).clamp(0, 1))
-        assert (queries @ library.T).argmax(1).tolist() == list(range(6))
-
-
-class TestChoice:
-    @pytest.fixture(autouse=True)
-    def no_weights(self, monkeypatch, tmp_path):
-        monkeypatch.delenv("MEDCOLOR_WEIGHTS", raising=False)
-        monkeypatch.setattr("MedColorLib.features.weights.cache_folder", lambda: tmp_path)
-
-    def test_auto_without_weights_is_embedded(self):
-        assert choose_features("auto") == choose_features("embedded") == "embedded"
-        assert make_extractor("embedded").name == "embedded"
-
-    @pytest.mark.parametrize("name", [n for n in EXTRACTORS if n != "embedded"])
-    def test_a_named_network_without_weights_says_what_to_do(self, name):
-        with pytest.raises(
-            WeightsError, match=f"features {name}: no weights found; run 'medcolor weights fetch {name}'"
-        ):
-            choose_features(name)
-
-    def test_unknown_name(self):
-        with pytest.raises(SettingsError, match="'resnet' is not one of auto, embedded, vgg19, gray-vgg19"):
-            choose_features("resnet")
-
-    def test_auto_takes_vgg19_where_its_weights_are(self, shared_weights, monkeypatch):
-        monkeypatch.setenv("MEDCOLOR_WEIGHTS", str(shared_weights))
-        assert choose_features("auto") == choose_features("vgg19") == "vgg19"

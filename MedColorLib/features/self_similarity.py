@@ -1,4 +1,4 @@
-"""Embedded features: modality-independent neighbourhood descriptors (MIND) over a pyramid. Nothing to download.
+"""Self-similarity: modality-independent neighbourhood descriptors (MIND) over a pyramid, for the first, coarse match.
 
 MIND (Heinrich et al. 2012, Medical Image Analysis 16(7)) describes a pixel by how its patch resembles the patches around
 it, exp(-D / V) with D the patch distance and V the local variance. It does not change when grey values are inverted or
@@ -11,27 +11,17 @@ from collections.abc import Sequence
 
 import torch
 from torch import Tensor
-from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d, pad
+from torch.nn.functional import avg_pool2d, pad
 
 _RING = ((0, 1), (1, 0), (0, -1), (-1, 0), (1, 1), (-1, -1), (1, -1), (-1, 1))
 
 
-class Embedded:
+class SelfSimilarity:
     """Self-similarity features at five scales; see the module docstring."""
-
-    name = "embedded"
 
     def extract(self, luminance: Tensor, layers: Sequence[int]) -> dict[int, Tensor]:
         """See `Extractor.extract`. 10 to 26 channels; no layer needs another, so only those asked for are computed."""
         return {layer: _layer_features(luminance.float(), layer) for layer in layers}
-
-    def descriptor(self, luminance: Tensor) -> Tensor:
-        """(N, 1, H, W) -> (N, D): self-similarity and grey on an 8 x 8 raster of the slice, unit length."""
-        coarse = _layer_features(luminance.float(), 4)
-        raster = torch.cat([adaptive_avg_pool2d(coarse, 8), adaptive_avg_pool2d(luminance.float(), 8) * 2], 1).flatten(
-            1
-        )
-        return raster / raster.norm(dim=1, keepdim=True).clamp_min(1e-12)
 
 
 def mind(image: Tensor, distance: int = 1) -> Tensor:
