@@ -17,6 +17,7 @@ import numpy as np
 
 INSIDE, OUTSIDE = 2, 3  # voxels that take part on either side of the border
 _FADE = (1.0, 0.8, 0.45)  # most of the ramp that is left in the first, second, third voxel outside
+_FULLEST = 1.5  # a voxel may hold more than the mean around it
 _SLAB_VOXELS = 4_000_000  # done together, about 30 bytes each
 _THICK = 2.0  # slices so many times farther apart than pixels are no neighbours
 
@@ -140,14 +141,14 @@ def _ramped(rgb: np.ndarray, mask: np.ndarray, level: np.ndarray, reach) -> tupl
 def _colours(state, shell, layer, level, reach) -> tuple[np.ndarray, np.ndarray]:
     where = shell | ((layer > 0) & (layer <= OUTSIDE))
     ramp = np.where(layer == 0, np.float32(1), np.float32(0))
-    ramp[where] = np.clip(level[where] / np.maximum(state[where][:, 3].astype(np.float32), 1e-3), 0.0, 1.0)
+    ramp[where] = np.clip(level[where] / np.maximum(state[where][:, 3].astype(np.float32), 1e-3), 0.0, _FULLEST)
     for distance in range(1, OUTSIDE + 1):
         here = layer == distance
         ramp[here] = np.minimum(
             ramp[here], _highest(np.where(layer < distance, ramp, 0), here, reach) * _FADE[distance - 1]
         )
     new = np.zeros((*where.shape, 3), np.uint8)
-    new[where] = np.rint(state[where][:, :3].astype(np.float32) * ramp[where][:, None])
+    new[where] = np.rint((state[where][:, :3].astype(np.float32) * ramp[where][:, None]).clip(0, 255))
     return new, where
 
 
