@@ -18,8 +18,8 @@ LIGHTS = ("plain", "realistic")
 _SCATTERING = 0.5  # share of VTK's blending range that stands for shadows within the volume
 _REACH = 0.3  # of the volume's size that shadows are looked for
 _KEY = ((-1.0, 1.2, 1.6), 0.8)  # place of the main lamp as the camera sees it (right, up, towards), and its strength
-_FILL = ((0.0, 0.0, 1.0), 0.45)
-_GAIN = (0.8, 2.5)
+_FILL = ((0.0, 0.0, 1.0), 0.6)
+_GAIN = (0.8, 2.5)  # least and most
 
 
 def check_light(light: str) -> None:
@@ -37,7 +37,12 @@ def set_lamps(renderer: object, light: str) -> None:
     from vtkmodules.vtkRenderingCore import vtkLight
 
     renderer.RemoveAllLights()
-    for place, strength in (_KEY, _FILL) if light == "realistic" else (((0.0, 0.0, 1.0), 1.0),):
+    if light == "plain":
+        lamp = vtkLight()
+        lamp.SetLightTypeToHeadlight()
+        renderer.AddLight(lamp)
+        return
+    for place, strength in (_KEY, _FILL):
         lamp = vtkLight()
         lamp.SetLightTypeToCameraLight()
         lamp.SetPosition(*place)
