@@ -159,8 +159,8 @@ def learn(preset: str, slices: int, seconds: float) -> None:
 
 _PLAN_FIELDS = (
     "referenceSource", "referencePath", "pickedReference", "preset", "features", "smoother", "smootherAutomatic",
-    "smootherOptions", "coherenceMm", "luminance", "gamma", "windowAutomatic", "windowLow", "windowHigh", "allSlices",
-    "firstSlice", "lastSlice", "device",
+    "smootherOptions", "coherenceMm", "luminance", "lightness", "gamma", "windowAutomatic", "windowLow", "windowHigh",
+    "allSlices", "firstSlice", "lastSlice", "device",
 )  # fmt: skip
 
 
