@@ -229,7 +229,9 @@ def test_plan_and_times_are_readable_before_apply(ready, monkeypatch):
     assert not shown_widget(ready.ui.planText)
     ready.ui.planDetailsButton.click()
     assert shown_widget(ready.ui.planText)
-    assert ready.ui.planText.plainText.endswith(f"Colour error to expect: {measured.text() if measured else NOT_MEASURED}")
+    assert ready.ui.planText.plainText.endswith(
+        f"Colour error to expect: {measured.text() if measured else NOT_MEASURED}"
+    )
     assert [ready.ui.presetComboBox.itemText(n).split(" (about ")[0] for n in range(3)] == ["Draft", "Balanced", "Full"]
     assert "min" in ready.ui.presetComboBox.itemText(2)
     shown = [ready.ui.presetComboBox.itemText(n) for n in range(3)]

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+import types
 
 import mrml
 import numpy as np
 import pytest
+import slicer
 from host_fixtures import color_node
 
 SIZE = 160
@@ -78,6 +80,65 @@ def test_ball_is_shaded_as_the_formula_says(view, scene, direction, rim):
         assert rms <= 4.2
     else:
         assert rms > 8, "what the rim is for"
+
+
+# --- light ----------------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def in_the_layout(view, monkeypatch):
+    """The view as Slicer's layout manager would give it."""
+
+    def manager_named(name):
+        managers = [view.group.GetNthDisplayableManager(n) for n in range(view.group.GetDisplayableManagerCount())]
+        return next(manager for manager in managers if manager.IsA(name))
+
+    three_d_view = types.SimpleNamespace(
+        displayableManagerByClassName=manager_named, forceRender=view.window.Render, scheduleRender=lambda: None
+    )
+    widget = types.SimpleNamespace(threeDView=lambda: three_d_view)
+    manager = types.SimpleNamespace(threeDViewCount=1, threeDWidget=lambda _index: widget)
+    monkeypatch.setattr(slicer.app, "layoutManager", lambda: manager)
+    return manager
+
+
+def test_realistic_light_has_shadows_and_is_as_bright(view, scene, in_the_layout):
+    from MedColorSlicer import light
+
+    scan, _ = anti_aliased_ball()
+    hollow = scan.copy()
+    hollow[26:38, :30, 26:38] = 0  # a pit that faces the viewer, whose ground lies in shadow
+    node = color_node(colored(hollow))
+    light.switch(scene, False)
+    plain, display = shown(view, node, (0, -1, 0))
+    light.switch(scene, True)
+    lit, display = shown(view, node, (0, -1, 0))
+    mapper = light._mappers(display)[0]
+    assert view.node.GetVolumeRenderingSurfaceSmoothing()
+    assert view.node.GetShadowsVisibility()
+    if not hasattr(mapper, "SetVolumetricScatteringBlending"):
+        pytest.skip("this VTK has no shadows within a volume")
+    assert mapper.GetVolumetricScatteringBlending() > 0
+    seen = plain.max(axis=-1) > 40
+    assert lit[seen].mean() == pytest.approx(plain[seen].mean(), rel=0.12)
+    assert np.abs(lit - plain).max() > 5
+    light.switch(scene, False)
+    again, display = shown(view, node, (0, -1, 0))
+    assert np.abs(again - plain).max() <= 1
+
+
+def test_realistic_light_is_chosen_by_the_time_a_frame_takes(view, scene, in_the_layout, monkeypatch):
+    from MedColorSlicer import light
+
+    for seconds, wanted in ((0.02, True), (0.5, False)):
+        view.node.RemoveAttribute("MedColor.Light")
+        monkeypatch.setattr(light, "_seconds_per_frame", lambda seconds=seconds: seconds)
+        light.first_time(scene)
+        assert light.is_on(scene) is wanted
+        monkeypatch.setattr(light, "_seconds_per_frame", lambda seconds=seconds: 0.6 - seconds)
+        light.first_time(scene)
+        assert light.is_on(scene) is wanted, "a choice is kept"
+    light.switch(scene, False)
 
 
 # --- real heads ---------------------------------------------------------------------------------------------------------
