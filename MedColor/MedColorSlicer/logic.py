@@ -79,7 +79,7 @@ class MedColorLogic(ScriptedLoadableModuleLogic):
             referenceLabels: the same labels drawn on the references: for each, in order, a PNG, an (H, W) array of whole
                 numbers, a label map node, or None. Without them only colour is kept apart.
             labelGroups: {label: group}; labels of one group count as one. Those of a segmentation are 1, 2, ... in the
-                order of its segments. At most 16 groups.
+                order of its segments. At most 16 groups; without groups more segments are grouped by what they are called.
 
         Returns:
             vtkMRMLVectorVolumeNode with the colours, under the input's transform and subject-hierarchy folder.
