@@ -124,7 +124,8 @@ class PlanPart:
         short = _("{slices} slices, about {time} with {features} features.").format(
             slices=self._slices, time=about, features=plan.features
         )
-        self._tell(f"{short}\n{expected}", f"{text}\n{expected}")
+        about_error = expected if error else _("Colour error: not measured with these settings")
+        self._tell(f"{short}\n{about_error}", f"{text}\n{expected}")
 
     def _tell(self, short: str, details: str = "") -> None:
         """Two lines at most in the panel; all of it behind the button."""
