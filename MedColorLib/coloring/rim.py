@@ -82,7 +82,7 @@ def add_rim(
         box = _box(masks, OUTSIDE + INSIDE + 2)
         level = np.stack([_level(values[k][box], threshold, air) for k in range(low, high)])
         inside = (slice(None), *box)
-        new, where = _ramped(rgb[low:high][inside], masks[inside], level, reach)
+        new, where = _ramped(rgb[low:high][inside], masks[inside], level, reach, check)
         if slices is not None:
             where[~slices[low:high]] = False
         own = slice(start - low, min(start + count, len(rgb)) - low)
@@ -111,7 +111,7 @@ def _box(mask: np.ndarray, margin: int) -> tuple[slice, slice]:
     return tuple(slice(max(e[0] - margin, 0), e[-1] + 1 + margin) for e in ends)
 
 
-def _ramped(rgb: np.ndarray, mask: np.ndarray, level: np.ndarray, reach) -> tuple[np.ndarray, np.ndarray]:
+def _ramped(rgb: np.ndarray, mask: np.ndarray, level: np.ndarray, reach, check) -> tuple[np.ndarray, np.ndarray]:
     """New colours (k, j, i, 3) uint8 and the voxels (k, j, i) that take them; level: 0 at air, 1 at the threshold."""
     air_around = ~mask
     for _ in range(OUTSIDE):  # the mask may lie a little outside the skin
@@ -127,9 +127,11 @@ def _ramped(rgb: np.ndarray, mask: np.ndarray, level: np.ndarray, reach) -> tupl
     state[inner][..., 3] = level.clip(0)
     border = np.flatnonzero(np.pad(shell, 1))
     for _ in range(INSIDE):
+        check()
         _take_fullest(state, tissue, border, reach)
     layer = np.where(tissue, np.uint8(0), np.uint8(255))
     for distance in range(1, OUTSIDE + 1):
+        check()
         new = np.zeros_like(tissue)
         new[inner] = (_dilated(tissue, reach) & ~tissue)[inner]
         _take_fullest(state, tissue, np.flatnonzero(new), reach)
