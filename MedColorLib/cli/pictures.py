@@ -22,7 +22,10 @@ SIDES = {  # what --cut takes away -> the axis (R, A, S) and the sign of it
 
 
 def render(arguments, bar, say_notes) -> list:
-    """Draw what was asked for, and return the paths written; `bar` makes a progress bar, `say_notes` prints what the reader of the grey volume decided."""
+    """Draw what was asked for and return the paths written.
+
+    `bar` makes a progress bar, `say_notes` prints what the reader of the grey volume decided.
+    """
     from ..io.files import read_color_volume, read_volume
 
     if not arguments.output and not arguments.turntable:
