@@ -11,6 +11,8 @@ light         realistic or plain light in 3-D views
 view_fit      slice views and cameras fitted to the body
 scene_watch   what happens in the scene while the panel is open
 parameters    parameter node behind the panel, and the library settings it stands for
+sequences     every time point of a sequence of volumes
+tissues       segments grouped by their terminology or name
 logic         validate, run, publish; no widgets, no message boxes
 running       a computation in a worker thread while the window stays responsive
 dependencies  packages to install, by Slicer's own mechanisms, asked first

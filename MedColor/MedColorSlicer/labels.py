@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import logging
+
 import slicer
 import vtk
 from slicer.i18n import tr as _
 
-from . import scene
+from . import scene, tissues
 
 
 def labels_problem(node) -> str:
@@ -38,7 +40,8 @@ def guard_from(node, input_node, reference_labels=None, groups=None):
 
     Args:
         reference_labels: for each reference a PNG, an (H, W) integer array, a label map node (its middle slice) or None.
-        groups: label -> group. Labels of a segmentation are 1, 2, ... in the order of its segments.
+        groups: label -> group. Labels of a segmentation are 1, 2, ... in the order of its segments. Without it, more
+            than 16 segments are grouped by their terminology or name (`tissues`).
 
     Raises:
         MedColorLib.errors.MedColorError: the node cannot be used, or pictures and groups are given without it.
@@ -54,12 +57,29 @@ def guard_from(node, input_node, reference_labels=None, groups=None):
         raise InputError(problem)
     import MedColorLib
 
+    if groups is None and grouped_by_name(node):
+        groups = _numbered(tissues.groups_of(node))
     volume = _exported(node, input_node) if node.IsA("vtkMRMLSegmentationNode") else _volume(node, node.GetName())
     pictures = None
     if reference_labels is not None:
         given = reference_labels if isinstance(reference_labels, (list, tuple)) else [reference_labels]
         pictures = [_middle(labels) if hasattr(labels, "IsA") else labels for labels in given]
     return MedColorLib.Guard(volume, pictures, groups)
+
+
+def grouped_by_name(node) -> bool:
+    """Whether segments are put together by what they are called: where the library would not keep so many apart."""
+    from MedColorLib.matching.tissue_guard import MOST_GROUPS
+
+    if node is None or not node.IsA("vtkMRMLSegmentationNode") or node.GetSegmentation() is None:
+        return False
+    return node.GetSegmentation().GetNumberOfSegments() > MOST_GROUPS - 1  # and the background
+
+
+def _numbered(groups: dict[int, str]) -> dict[int, int]:
+    names = sorted(set(groups.values()))
+    logging.getLogger("MedColor").info("tissue labels: %d segments in the groups %s", len(groups), ", ".join(names))
+    return {label: names.index(name) + 1 for label, name in groups.items()}
 
 
 def _volume(node, name: str):

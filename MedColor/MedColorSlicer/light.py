@@ -1,7 +1,8 @@
-"""Light in the 3-D views: a plain lamp at the camera, or ambient shadows, jittered rays and a brighter lamp to make up.
+"""Light in the 3-D views: a plain lamp at the camera, or ambient shadows, jittered rays and shadows within the volume.
 
-Ambient shadows darken folds and hollows, as daylight does. Slicer has them since 5.4; where a view does not know them,
-the rest of the realistic light is all there is. What darkens is made up for by the view's own shift of intensity.
+Ambient shadows darken folds and hollows, as daylight does; Slicer's views have them since 5.4, VTK's ray caster has shadows
+within a volume since 9.2. Each is used where it is there; where none is, jittered rays are all there is. Shadows darken:
+lighting of MedColor's volumes is raised by as much.
 """
 
 from __future__ import annotations
@@ -10,8 +11,13 @@ import time
 
 import slicer
 
+from . import rendering
+
 _ATTRIBUTE = "MedColor.Light"  # on a view node: "realistic" or "plain"; absent: never asked
 _PATIENCE_SECONDS = 0.1  # a view that takes longer to draw stays with the plain lamp unless asked
+_SCATTERING, _REACH = 0.4, 0.1
+_RAISED = 1.1  # ambient and diffuse light, to make up for _SCATTERING
+_MANAGER = "vtkMRMLVolumeRenderingDisplayableManager"
 
 
 def views(scene) -> list:
@@ -38,6 +44,27 @@ def switch(scene, realistic: bool) -> None:
                 view.SetAmbientShadowsSizeScale(0.3)
             if hasattr(view, "SetAmbientShadowsVolumeOpacityThreshold"):
                 view.SetAmbientShadowsVolumeOpacityThreshold(0.25)
+    for display in _displays(scene):
+        apply_to(display)
+
+
+def apply_to(display) -> None:
+    """Shadows within the volume of a display, and as much more light, as its scene's views have it."""
+    from MedColorLib.rendering import presets
+
+    realistic = is_on(display.GetScene())
+    shadowed = False
+    for mapper in _mappers(display):
+        if hasattr(mapper, "SetVolumetricScatteringBlending"):
+            mapper.SetVolumetricScatteringBlending(_SCATTERING if realistic else 0.0)
+            mapper.SetGlobalIlluminationReach(_REACH if realistic else 0.0)
+            shadowed = realistic
+    raised = _RAISED if shadowed else 1.0
+    node = display.GetVolumePropertyNode()
+    prop = node.GetVolumeProperty()
+    with slicer.util.NodeModify(node):
+        prop.SetAmbient(min(presets.AMBIENT * raised, 1.0))
+        prop.SetDiffuse(presets.DIFFUSE * raised)
 
 
 def first_time(scene) -> None:
@@ -49,13 +76,32 @@ def first_time(scene) -> None:
         switch(scene, seconds < _PATIENCE_SECONDS)
 
 
+def _displays(scene) -> list:
+    count = scene.GetNumberOfNodesByClass(rendering.DISPLAY_CLASS)
+    found = [scene.GetNthNodeByClass(n, rendering.DISPLAY_CLASS) for n in range(count)]
+    return [node for node in found if node.GetAttribute(rendering.OPACITY_ATTRIBUTE) and node.GetVolumePropertyNode()]
+
+
+def _three_d_views() -> list:
+    manager = slicer.app.layoutManager()
+    widgets = [manager.threeDWidget(index) for index in range(manager.threeDViewCount if manager else 0)]
+    return [widget.threeDView() for widget in widgets if widget]
+
+
+def _mappers(display) -> list:
+    """What draws a display, one for each 3-D view that it is seen in."""
+    volume = display.GetDisplayableNode()
+    managers = [view.displayableManagerByClassName(_MANAGER) for view in _three_d_views()]
+    mappers = [manager.GetVolumeMapper(volume) for manager in managers if manager and volume]
+    return [mapper for mapper in mappers if mapper]
+
+
 def _seconds_per_frame():
     """How long the first 3-D view takes to draw; None without a view."""
-    manager = slicer.app.layoutManager()
-    if manager is None or manager.threeDViewCount == 0:
+    views_shown = _three_d_views()
+    if not views_shown:
         return None
-    view = manager.threeDWidget(0).threeDView()
-    view.forceRender()  # the first frame compiles shaders and hands the voxels over
+    views_shown[0].forceRender()  # the first frame compiles shaders and hands the voxels over
     start = time.monotonic()
-    view.forceRender()
+    views_shown[0].forceRender()
     return time.monotonic() - start

@@ -10,7 +10,7 @@ import slicer
 from slicer.i18n import tr as _
 from slicer.ScriptedLoadableModule import ScriptedLoadableModuleLogic
 
-from . import comparison, cut, dependencies, light, rendering, rendering_show, scene
+from . import comparison, cut, dependencies, light, rendering, rendering_show, scene, sequences
 from . import labels as labels_of
 from . import references as references_of
 from .dependencies import needs_packages
@@ -79,7 +79,7 @@ class MedColorLogic(ScriptedLoadableModuleLogic):
             referenceLabels: the same labels drawn on the references: for each, in order, a PNG, an (H, W) array of whole
                 numbers, a label map node, or None. Without them only colour is kept apart.
             labelGroups: {label: group}; labels of one group count as one. Those of a segmentation are 1, 2, ... in the
-                order of its segments. At most 16 groups.
+                order of its segments. At most 16 groups; without groups more segments are grouped by what they are called.
 
         Returns:
             vtkMRMLVectorVolumeNode with the colours, under the input's transform and subject-hierarchy folder.
@@ -108,6 +108,41 @@ class MedColorLogic(ScriptedLoadableModuleLogic):
         rendering.refresh(node)
         _LOG.info("coloured in %.1f s", time.monotonic() - start)
         return node
+
+    @needs_packages
+    def processSequence(self, sequence, references, settings=None, progress=None, cancelled=None, run=None, **options):
+        """Colour every time point of a sequence.
+
+        Args:
+            sequence: vtkMRMLSequenceNode of scalar volumes.
+            references, settings, progress, cancelled, run, options: as for `process`.
+
+        Returns:
+            vtkMRMLSequenceNode of vector volumes, in step with the sequence in the browsers that play it. All time points
+            or none: cancelled, or after an error, the scene is as it was.
+
+        Raises:
+            MedColorLib.errors.MedColorError, MedColorLib.errors.Cancelled
+        """
+        import MedColorLib
+        from MedColorLib.errors import InputError
+
+        settings = self._settings(settings, options)
+        volumes = [scene.volume_from_node(node) for node in sequences.volumes_of(sequence)]
+        pictures = references_of.references_from(references)
+
+        def compute():
+            return [
+                MedColorLib.colorize(
+                    volume, pictures, settings, sequences.share_of(progress, n, len(volumes)), cancelled
+                )
+                for n, volume in enumerate(volumes)
+            ]
+
+        results = compute() if run is None else run(compute)
+        if sequence.GetScene() is None or sequence.GetNumberOfDataNodes() != len(volumes):
+            raise InputError(_("The sequence was changed while it was being coloured. Call again."))
+        return sequences.publish(sequence, results)
 
     @needs_packages
     def preview(  # everything after the third has a default

@@ -53,7 +53,7 @@ class InputsPart:
             ],
         )
         _name(ui.gammaComboBox, [_("Automatic"), _("On (square root, as in the paper)"), _("Off")])
-        _name(ui.luminanceComboBox, [_("Keep that of the volume"), _("As in the paper")])
+        _name(ui.luminanceComboBox, [_("Natural"), _("Keep that of the volume"), _("As in the paper")])
         _name(
             ui.deviceComboBox, [_("Automatic"), _("Processor"), _("NVIDIA graphics (CUDA)"), _("Apple graphics (MPS)")]
         )

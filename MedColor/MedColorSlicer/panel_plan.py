@@ -124,7 +124,8 @@ class PlanPart:
         short = _("{slices} slices, about {time} with {features} features.").format(
             slices=self._slices, time=about, features=plan.features
         )
-        self._tell(f"{short}\n{expected}", f"{text}\n{expected}")
+        about_error = expected if error else _("Colour error: not measured with these settings")
+        self._tell(f"{short}\n{about_error}", f"{text}\n{expected}")
 
     def _tell(self, short: str, details: str = "") -> None:
         """Two lines at most in the panel; all of it behind the button."""
@@ -159,8 +160,8 @@ def learn(preset: str, slices: int, seconds: float) -> None:
 
 _PLAN_FIELDS = (
     "referenceSource", "referencePath", "pickedReference", "preset", "features", "smoother", "smootherAutomatic",
-    "smootherOptions", "coherenceMm", "luminance", "gamma", "windowAutomatic", "windowLow", "windowHigh", "allSlices",
-    "firstSlice", "lastSlice", "device",
+    "smootherOptions", "coherenceMm", "luminance", "lightness", "gamma", "windowAutomatic", "windowLow", "windowHigh",
+    "allSlices", "firstSlice", "lastSlice", "device",
 )  # fmt: skip
 
 

@@ -9,6 +9,7 @@ import slicer
 from slicer.i18n import tr as _
 
 from . import dependencies, running, scene
+from .labels import grouped_by_name
 from .panel_plan import learn
 from .parameters import settings_from
 
@@ -48,9 +49,12 @@ class Runs:
         self.preview.remove()
         self._learn(node, job)
         self.display.showResult(parameters, grey, node, here=self._parameterNode is not None)
-        return _("Done in {time}: {name}.").format(
+        done = _("Done in {time}: {name}.").format(
             time=running.readable_seconds(job.elapsed_seconds()), name=node.GetName()
         )
+        if grouped_by_name(parameters.labels):
+            done += " " + _("The segments were grouped by what they are called; the log has the groups.")
+        return done
 
     def _learn(self, node, job):
         """How long this took, for the times shown beside the presets."""

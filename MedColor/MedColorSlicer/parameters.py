@@ -37,7 +37,8 @@ class MedColorParameterNode:
     smootherAutomatic: bool = True  # the smoother's own values; `smootherOptions` waits
     smootherOptions: str  # JSON: smoother -> name -> value, for those that were changed
     coherenceMm: Annotated[float, WithinRange(0.0, 20.0)] = 8.0
-    luminance: Annotated[str, Choice(LUMINANCES)] = "keep"
+    luminance: Annotated[str, Choice(LUMINANCES)] = library.Settings.luminance
+    lightness: Annotated[float, WithinRange(0.0, 1.0)] = library.Settings.lightness
     gamma: Annotated[str, Choice(list(GAMMAS))] = "auto"
     windowAutomatic: bool = True
     windowLow: Annotated[float, WithinRange(-100000.0, 100000.0)] = 0.0
@@ -100,6 +101,7 @@ def settings_from(parameters):
         "coherence_mm": parameters.coherenceMm,
         "confidence": parameters.confidence,
         "luminance": parameters.luminance,
+        "lightness": parameters.lightness,
         "gamma": GAMMAS[parameters.gamma],
         "window": None if parameters.windowAutomatic else (parameters.windowLow, parameters.windowHigh),
         "slices": None if parameters.allSlices else (parameters.firstSlice, parameters.lastSlice + 1),

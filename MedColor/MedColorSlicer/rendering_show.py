@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import slicer
 
-from . import rendering
+from . import light, rendering
 from .rendering_guard import guard_of
 
 
@@ -32,5 +32,7 @@ def show(volume_node, view_nodes=None, opacity: float | None = None):
             if opacity is not None:
                 rendering.set_opacity(volume_node, opacity)
         display.SetVisibility(True)
+    if light.is_on(volume_node.GetScene()):
+        light.apply_to(display)
     guard_of(volume_node.GetScene()).watch(display)
     return display

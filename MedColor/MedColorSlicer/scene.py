@@ -32,8 +32,8 @@ def _kind_problem(node) -> str:
     name = node.GetName()
     if node.IsA("vtkMRMLSequenceNode"):
         return _(
-            "{name} is a sequence of volumes; select the volume that its sequence browser shows, one time point after "
-            "the other."
+            "{name} is a sequence of volumes; select the volume that its sequence browser shows, or call processSequence() of "
+            "the logic for all time points."
         ).format(name=name)
     if not node.IsA("vtkMRMLVolumeNode"):
         return _("{name} is no volume; select a scalar (grey) volume.").format(name=name)

@@ -200,6 +200,7 @@ class MedColorWidget(Runs, ScriptedLoadableModuleWidget, VTKObservationMixin):
         self.display.update()
         self.say(self._message)
         ui.windowLowSpinBox.enabled = ui.windowHighSpinBox.enabled = not p.windowAutomatic
+        ui.lightnessSlider.enabled = p.luminance == "natural"
         ui.firstSliceSpinBox.enabled = ui.lastSliceSpinBox.enabled = not p.allSlices
         if self.job is None:
             missing = self.whatIsMissing()

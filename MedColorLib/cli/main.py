@@ -225,20 +225,12 @@ def _tell_replaced(paths: Iterable[Path]) -> None:
 
 
 def _render(arguments) -> None:
-    from ..io.files import read_color_volume, read_volume
-    from ..rendering import render_to_png
+    from .pictures import render
 
-    color = read_color_volume(arguments.volume)
-    left = read_volume(arguments.grey, volume=arguments.number) if arguments.grey else None
-    if left:
-        _say_notes(left)
-    if arguments.beside:
-        left = read_color_volume(arguments.beside)
-    titles = tuple(arguments.titles or ("Other" if arguments.beside else "Scan", "Coloured"))
-    former = existing([arguments.output])
-    render_to_png(arguments.output, color, left, size=tuple(arguments.size), titles=titles)
+    former = existing([path for path in (arguments.output,) if path])
+    for written in render(arguments, _Bar, _say_notes):
+        say(written)
     _tell_replaced(former)
-    say(arguments.output)
 
 
 def _recommend(arguments) -> None:

@@ -12,9 +12,12 @@ from .. import __version__
 from ..parameters import FEATURES, LUMINANCE, PRESETS, RECONSTRUCTIONS, SMOOTHERS, Settings
 from ..terminal import plain
 from .guard_options import add_guard
+from .pictures import SIDES
 from .values import at_least, exposure, file_name, named_value, path_name, slice_range
 
 _WHICH = "which of several volumes (series, contrasts, time points), as `medcolor info` counts (default: the largest)"
+# those of `rendering.views`, which loads NumPy and more; a test compares them
+_VIEWS = ("anterior", "posterior", "left", "right", "superior", "inferior", "oblique", "left-oblique")
 _KEPT = "interrupted; what is done is kept, the same command goes on from there"
 
 
@@ -193,14 +196,23 @@ def _add_settings(add: Callable, body_help: str) -> None:
 def _add_render(commands) -> None:
     command = commands.add_parser("render", help="picture of a coloured volume: views and sections")
     command.add_argument("volume", type=file_name, metavar="VOLUME", help="RGB volume as written by colorize")
-    command.add_argument("-o", "--output", type=path_name, required=True, metavar="PNG")
+    command.add_argument("-o", "--output", type=path_name, metavar="PNG", help="the picture")
     left = command.add_mutually_exclusive_group()
     left.add_argument("--grey", type=file_name, metavar="INPUT", help="the grey volume, to stand beside the colours")
     command.add_argument("--volume", dest="number", type=int, metavar="N", help=f"of --grey: {_WHICH}")
     text = "another coloured volume, to stand there instead"
     left.add_argument("--beside", type=file_name, metavar="VOLUME2", help=text)
     command.add_argument("--titles", nargs=2, metavar=("LEFT", "RIGHT"), help="above the two halves")
-    command.add_argument("--size", nargs=2, type=int, default=(1600, 1200), metavar=("W", "H"))
+    command.add_argument(
+        "--size", nargs=2, type=int, default=None, metavar=("W", "H"), help="pixels, to 8192 a side for a single view"
+    )
+    command.add_argument("--view", choices=_VIEWS, help="a single view in place of the sheet")
+    command.add_argument("--cut", nargs="+", choices=SIDES, metavar="SIDE", help=f"take away: {', '.join(SIDES)}")
+    command.add_argument("--opacity", type=float, metavar="X", help="0 to 1: bone alone, muscle, skin")
+    command.add_argument("--light", choices=("plain", "realistic"), default="plain")
+    command.add_argument(
+        "--turntable", type=path_name, metavar="OUT", help="the body turns once around: .mp4, .gif, or a folder of pictures"
+    )
     command.set_defaults(run="render")
 
 

@@ -17,6 +17,7 @@ import numpy as np
 
 INSIDE, OUTSIDE = 2, 3  # voxels that take part on either side of the border
 _FADE = (1.0, 0.8, 0.45)  # most of the ramp that is left in the first, second, third voxel outside
+_FULLEST = 1.5  # a voxel may hold more than the mean around it
 _SLAB_VOXELS = 4_000_000  # done together, about 30 bytes each
 _THICK = 2.0  # slices so many times farther apart than pixels are no neighbours
 
@@ -81,7 +82,7 @@ def add_rim(
         box = _box(masks, OUTSIDE + INSIDE + 2)
         level = np.stack([_level(values[k][box], threshold, air) for k in range(low, high)])
         inside = (slice(None), *box)
-        new, where = _ramped(rgb[low:high][inside], masks[inside], level, reach)
+        new, where = _ramped(rgb[low:high][inside], masks[inside], level, reach, check)
         if slices is not None:
             where[~slices[low:high]] = False
         own = slice(start - low, min(start + count, len(rgb)) - low)
@@ -110,7 +111,7 @@ def _box(mask: np.ndarray, margin: int) -> tuple[slice, slice]:
     return tuple(slice(max(e[0] - margin, 0), e[-1] + 1 + margin) for e in ends)
 
 
-def _ramped(rgb: np.ndarray, mask: np.ndarray, level: np.ndarray, reach) -> tuple[np.ndarray, np.ndarray]:
+def _ramped(rgb: np.ndarray, mask: np.ndarray, level: np.ndarray, reach, check) -> tuple[np.ndarray, np.ndarray]:
     """New colours (k, j, i, 3) uint8 and the voxels (k, j, i) that take them; level: 0 at air, 1 at the threshold."""
     air_around = ~mask
     for _ in range(OUTSIDE):  # the mask may lie a little outside the skin
@@ -126,9 +127,11 @@ def _ramped(rgb: np.ndarray, mask: np.ndarray, level: np.ndarray, reach) -> tupl
     state[inner][..., 3] = level.clip(0)
     border = np.flatnonzero(np.pad(shell, 1))
     for _ in range(INSIDE):
+        check()
         _take_fullest(state, tissue, border, reach)
     layer = np.where(tissue, np.uint8(0), np.uint8(255))
     for distance in range(1, OUTSIDE + 1):
+        check()
         new = np.zeros_like(tissue)
         new[inner] = (_dilated(tissue, reach) & ~tissue)[inner]
         _take_fullest(state, tissue, np.flatnonzero(new), reach)
@@ -140,14 +143,14 @@ def _ramped(rgb: np.ndarray, mask: np.ndarray, level: np.ndarray, reach) -> tupl
 def _colours(state, shell, layer, level, reach) -> tuple[np.ndarray, np.ndarray]:
     where = shell | ((layer > 0) & (layer <= OUTSIDE))
     ramp = np.where(layer == 0, np.float32(1), np.float32(0))
-    ramp[where] = np.clip(level[where] / np.maximum(state[where][:, 3].astype(np.float32), 1e-3), 0.0, 1.0)
+    ramp[where] = np.clip(level[where] / np.maximum(state[where][:, 3].astype(np.float32), 1e-3), 0.0, _FULLEST)
     for distance in range(1, OUTSIDE + 1):
         here = layer == distance
         ramp[here] = np.minimum(
             ramp[here], _highest(np.where(layer < distance, ramp, 0), here, reach) * _FADE[distance - 1]
         )
     new = np.zeros((*where.shape, 3), np.uint8)
-    new[where] = np.rint(state[where][:, :3].astype(np.float32) * ramp[where][:, None])
+    new[where] = np.rint((state[where][:, :3].astype(np.float32) * ramp[where][:, None]).clip(0, 255))
     return new, where
 
 

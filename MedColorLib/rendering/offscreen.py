@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import DeviceError, MissingPackageError, SettingsError
-from . import presets
+from . import lights, presets
 from .grid import Grid
 
 _LOG = logging.getLogger("MedColor")
@@ -134,6 +134,7 @@ class Stage:
         from vtkmodules.vtkRenderingCore import vtkRenderer, vtkRenderWindow
 
         self._errors: list[str] = []
+        self._shown, self._light, self._gain = None, "plain", None
         self._window = getattr(vtkRenderingOpenGL2, name, vtkRenderWindow)()
         self._window.SetOffScreenRendering(1)
         self._window.SetShowWindow(False)
@@ -160,10 +161,14 @@ class Stage:
         remember.CallDataType = "string0"
         source.AddObserver("ErrorEvent", remember)
 
-    def show(self, grid: Grid, opacity: float = presets.DEFAULT_OPACITY, shade: bool = True) -> None:
-        """Put `grid` on the stage instead of what was there."""
+    def show(
+        self, grid: Grid, opacity: float = presets.DEFAULT_OPACITY, shade: bool = True, light: str = "plain"
+    ) -> None:
+        """Put `grid` on the stage instead of what was there; `light` is one of `lights.LIGHTS`."""
+        lights.check_light(light)
         self._renderer.RemoveAllViewProps()
-        self._renderer.AddVolume(self._volume(grid, opacity, shade))
+        self._shown, self._light, self._gain = self._volume(grid, opacity, shade), light if shade else "plain", None
+        self._renderer.AddVolume(self._shown)
 
     def _volume(self, grid: Grid, opacity: float, shade: bool) -> object:
         from vtkmodules.vtkCommonMath import vtkMatrix4x4
@@ -200,10 +205,24 @@ class Stage:
         Raises:
             DeviceError: the driver reported an error while drawing.
         """
+        self._aim(camera)
+        if self._light == "realistic" and self._gain is None:  # measured once: a turn must not flicker
+            plain, lit = (self._picture_in(light) for light in ("plain", "realistic"))
+            self._gain = lights.gain(plain, lit)
+            return self._brightened(lit)
+        return self._brightened(self._picture_in(self._light))
+
+    def _brightened(self, picture: np.ndarray) -> np.ndarray:
+        if self._light == "plain":
+            return picture
+        return np.rint(np.minimum(picture.astype(np.float32) * self._gain, 255)).astype(np.uint8)
+
+    def _picture_in(self, light: str) -> np.ndarray:
         from vtkmodules.util.numpy_support import vtk_to_numpy
         from vtkmodules.vtkRenderingCore import vtkWindowToImageFilter
 
-        self._aim(camera)
+        lights.set_lamps(self._renderer, light)
+        lights.set_shadows(self._shown, light)
         self._window.Render()
         grabber = vtkWindowToImageFilter()
         grabber.SetInput(self._window)

@@ -28,6 +28,9 @@ DEFAULT_OPACITY = 0.5
 ALPHA_AIR = 12.0
 ALPHA_TISSUE = 48.0
 
+# Flesh and fat in the lightness of a photograph stay below this, bone lies above.
+ALPHA_FLESH = 160.0
+
 # The opacity of the curve is reached over this fraction of the body's diagonal (about 1 mm in a human head).
 UNIT_DISTANCE_FRACTION = 1.0 / 400.0
 
@@ -53,7 +56,8 @@ def opacity_curve(opacity: float = DEFAULT_OPACITY) -> list[tuple[float, float]]
     """
     if not 0.0 <= opacity <= 1.0:
         raise SettingsError(f"opacity: expected a number from 0 to 1, got {opacity}")
-    return [(0.0, 0.0), (ALPHA_AIR, 0.0), (ALPHA_TISSUE, float(opacity) ** 7), (255.0, float(opacity) ** 3.5)]
+    o = float(opacity)
+    return [(0.0, 0.0), (ALPHA_AIR, 0.0), (ALPHA_TISSUE, o**7), (ALPHA_FLESH, o**6), (255.0, o**3.5)]
 
 
 def opacity_points(alpha_min: float, alpha_max: float, opacity: float = DEFAULT_OPACITY) -> list[tuple[float, float]]:

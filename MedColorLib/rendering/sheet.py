@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,6 +24,7 @@ from .grid import (
     tissue_box,
 )
 from .layout import PANEL_RGB, Sheet
+from .lights import check_light
 from .offscreen import Camera, Stage
 from .presets import DEFAULT_OPACITY, opacity_curve
 from .sections import MAX_SECTION_SIDE, SectionFrame, section_frame, sections
@@ -57,6 +58,8 @@ def contact_sheet(
     centre: tuple[float, float, float] | None = None,
     voxel_budget: int = VOXEL_BUDGET,
     titles: tuple[str, str] = ("Scan", "Coloured"),
+    light: str = "plain",
+    progress: Callable[[float, str], None] | None = None,
 ) -> np.ndarray:
     """Three views and three sections; each of the grey volume beside its coloured version.
 
@@ -71,6 +74,8 @@ def contact_sheet(
             without it the centroid of all that is not black.
         voxel_budget: see `render_view`.
         titles: above the left and the right half.
+        light: "plain" or "realistic", see `lights`.
+        progress: called with (fraction 0..1, text); may raise to stop.
 
     Returns:
         (H, W, 3) uint8 RGB. Empty panels when `color` is all black.
@@ -82,6 +87,7 @@ def contact_sheet(
     """
     _check_sheet_size(size)
     opacity_curve(opacity)
+    check_light(light)
     frame = section_frame(color, centre)
     if grey is None:
         sheet = Sheet(size, (3, 2), ("",), FOOTNOTE)
@@ -95,7 +101,7 @@ def contact_sheet(
     volumes = _shown(grey, color, window)
     frame = _widened(frame, volumes[0])
     planes = _trimmed([sections(volume, frame=frame) for volume in volumes])
-    views = _draw_views(volumes, np.asarray(frame.centre), sheet.panel_size, opacity, voxel_budget)
+    views = _draw_views(volumes, np.asarray(frame.centre), sheet.panel_size, opacity, voxel_budget, light, progress)
     for panel in range(len(volumes)):
         for cell, picture, (label, _, _) in zip(view_cells, views[panel], _VIEWS):
             sheet.place(cell, panel, picture, label)
@@ -115,6 +121,8 @@ def render_to_png(
     centre: tuple[float, float, float] | None = None,
     voxel_budget: int = VOXEL_BUDGET,
     titles: tuple[str, str] = ("Scan", "Coloured"),
+    light: str = "plain",
+    progress: Callable[[float, str], None] | None = None,
 ) -> Path:
     """Draw the `contact_sheet` (see there) and write it to `path`; an unfinished file never bears that name.
 
@@ -125,6 +133,20 @@ def render_to_png(
         OutputError: the name does not end in .png, or the folder is missing or cannot be written to.
         InputError, SettingsError, DeviceError: see `contact_sheet`.
     """
+    target = png_target(path)
+    options = {"window": window, "opacity": opacity, "centre": centre, "voxel_budget": voxel_budget, "titles": titles}
+    options |= {"light": light, "progress": progress}
+    sheet = contact_sheet(grey, color, size, **options)
+    write_png(target, sheet)
+    return target
+
+
+def png_target(path: str | os.PathLike) -> Path:
+    """The path, if a picture can be written there; to be asked before the work.
+
+    Raises:
+        OutputError: the name does not end in .png, the folder is missing, or a folder has the name.
+    """
     target = Path(path)
     if target.suffix.lower() != ".png":
         raise OutputError(f"{target.name}: pictures are written as PNG; choose a name that ends in .png")
@@ -132,9 +154,6 @@ def render_to_png(
         raise OutputError(f"{target}: the folder does not exist; create it first")
     if target.is_dir():
         raise OutputError(f"{target}: this is a folder; choose the name of a file")
-    options = {"window": window, "opacity": opacity, "centre": centre, "voxel_budget": voxel_budget, "titles": titles}
-    sheet = contact_sheet(grey, color, size, **options)
-    write_png(target, sheet)
     return target
 
 
@@ -236,6 +255,8 @@ def _draw_views(
     panel_size: tuple[int, int],
     opacity: float,
     voxel_budget: int,
+    light: str,
+    progress: Callable[[float, str], None] | None,
 ) -> list[list[np.ndarray]]:
     """For each volume its three views, all with the cameras that suit the first one: a scan shows all that the colours do."""
     import cv2
@@ -246,7 +267,10 @@ def _draw_views(
     with Stage(size, PANEL_RGB) as stage:
         for v in range(len(volumes)):
             whole = prepare_grid(volumes[v], voxel_budget)
-            for n, (_, view, towards) in enumerate(_VIEWS):
+            for n, (label, view, towards) in enumerate(_VIEWS):
+                if progress:
+                    done = (len(volumes) - 1 - v) * len(_VIEWS) + n
+                    progress(done / (len(volumes) * len(_VIEWS)), label.lower())
                 if whole is None:
                     continue
                 grid = whole if towards is None else cut_grid(whole, corner_cut(cut_point, towards))
@@ -254,6 +278,6 @@ def _draw_views(
                     cameras.append(camera_for(grid, view, size, _VIEW_FILL))
                 if cameras[n] is None:
                     continue
-                stage.show(grid, opacity)
+                stage.show(grid, opacity, light=light)
                 pictures[v][n] = cv2.resize(stage.draw(cameras[n]), panel_size, interpolation=cv2.INTER_AREA)
     return pictures

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..errors import SettingsError
 from ..volume import ColorVolume
 from .grid import VOXEL_BUDGET, Cut, Grid, cut_grid, not_black, prepare_grid
+from .lights import check_light
 from .offscreen import Camera, Stage, check_size
 from .presets import ALPHA_AIR, DEFAULT_OPACITY, opacity_curve
 
@@ -25,6 +26,27 @@ VIEWS = {
     "left-oblique": ((-0.78, 0.6, 0.2), (0.0, 0.0, 1.0)),
 }
 FILL = 0.94  # of the picture's width or height
+
+
+def turned(camera: Camera, degrees: float) -> Camera:
+    """The camera moved around the body, about the axis that points up in the picture; 90: it looks from the right."""
+    angle = np.radians(degrees)
+    right = np.cross(camera.up, camera.towards)
+    towards = np.cos(angle) * camera.towards + np.sin(angle) * right
+    return replace(camera, towards=towards)
+
+
+def body_radius_camera(camera: Camera, grid: Grid, size: tuple[int, int], fill: float = FILL) -> Camera:
+    """The camera at such a distance that the body stays in the picture of `size` all around its upright axis."""
+    outline = outline_of((plane[..., 3] > ALPHA_AIR for plane in grid.rgba), grid.ijk_to_ras)
+    ends = outline.extent(np.eye(3))
+    centre = (ends[0] + ends[1]) / 2
+    around = np.eye(3) - np.outer(camera.up, camera.up)
+    points = outline.centres[:: max(1, len(outline.centres) // 20000)] - centre
+    radius = float(np.linalg.norm(points @ around, axis=1).max()) + float(np.abs(outline.corners).max())
+    height = float(np.abs(points @ camera.up).max()) + float(np.abs(outline.corners).max())
+    half = max(height, radius * size[1] / size[0]) / fill
+    return replace(camera, focal=centre, half_height_mm=half, distance_mm=max(camera.distance_mm, 3 * radius))
 
 
 def _directions(view: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -119,6 +141,7 @@ def render_view(
     *,
     opacity: float = DEFAULT_OPACITY,
     shade: bool = True,
+    light: str = "plain",
     cut: Cut | None = None,
     voxel_budget: int = VOXEL_BUDGET,
 ) -> np.ndarray:
@@ -130,6 +153,7 @@ def render_view(
         size: (width, height) in pixels.
         opacity: 0 (nothing) to 1 (solid).
         shade: lamp at the camera (ambient 0.3, diffuse 0.8, specular 0.1); without it colours come out as they are.
+        light: "plain", a lamp at the viewer, or "realistic", see `lights`.
         cut: region taken away, see `corner_cut`.
         voxel_budget: above it the volume is thinned out, which is logged.
 
@@ -143,6 +167,7 @@ def render_view(
     check_size(size)
     _directions(view)
     opacity_curve(opacity)
+    check_light(light)
     grid = prepare_grid(color, voxel_budget)
     if grid is not None and cut is not None:
         grid = cut_grid(grid, cut)
@@ -150,5 +175,5 @@ def render_view(
     if camera is None:
         return np.zeros((int(size[1]), int(size[0]), 3), dtype=np.uint8)
     with Stage(size) as stage:
-        stage.show(grid, opacity, shade)
+        stage.show(grid, opacity, shade, light)
         return stage.draw(camera)

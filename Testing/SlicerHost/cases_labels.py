@@ -167,3 +167,43 @@ def test_a_real_run_keeps_tissues_apart(logic):
     labels.SetOrigin(0, 0, 0)
     with pytest.raises(InputError, match="resample the labels"):
         logic.process(grey, [picture], labels=labels, preset="draft", features="embedded", device="cpu")
+
+
+@pytest.mark.parametrize(
+    ("name", "entry", "group"),
+    [
+        ("femur_left", "", "bone"),
+        ("pulmonary_vein", "", "vessels"),
+        ("lung_upper_lobe_left", "", "airways and lungs"),
+        ("gluteus_maximus_right", "", "muscle"),
+        ("subcutaneous_fat", "", "fat"),
+        (
+            "Segment_1",
+            "Segmentation category and type~SCT^85756007^Tissue~SCT^272673000^Bone~^^~Anatomic~^^~^^",
+            "bone",
+        ),
+        ("Segment_2", "list~SCT^85756007^Tissue~SCT^51114001^Artery~^^~list~^^~^^", "vessels"),
+        ("femur", "list~SCT^85756007^Tissue~SCT^85756007^Tissue~^^~list~^^~^^", "bone"),
+        ("Segment_3", "", "others"),
+        ("", "~~~", "others"),
+    ],
+)
+def test_tissues_by_terminology_or_name(scene, name, entry, group):
+    from MedColorSlicer import tissues
+
+    assert tissues.tissue_of(name, entry) == group
+
+
+def test_many_segments_are_grouped_by_what_they_are_called(logic, library, segmentations):
+    """As TotalSegmentator makes them: more than the library keeps apart."""
+    voxels = np.zeros((6, 8, 10), np.uint8)
+    voxels.ravel()[:40] = 1 + np.arange(40) % 20
+    segmentation = segmentation_of(label_node(voxels), segmentations)
+    segments = segmentation.GetSegmentation()
+    assert segments.GetNumberOfSegments() == 20
+    for n in range(20):
+        segments.GetNthSegment(n).SetName(("rib_left_", "artery_", "muscle_", "thing_")[n % 4] + str(n))
+    segments.GetNthSegment(3).SetTag("TerminologyEntry", "list~SCT^1^Tissue~SCT^2^Bone~^^~list~^^~^^")
+    logic.process(grey_node(), [REFERENCE], labels=segmentation)
+    (guard,) = library.guards
+    assert len(guard.present) == 5, "with what lies outside all segments"

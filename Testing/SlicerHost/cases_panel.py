@@ -11,7 +11,8 @@ import types
 import pytest
 import slicer
 from host_fixtures import color_node, grey_node, label_node
-from panel_fixtures import PICTURE, shown, wait_for
+from panel_fixtures import PICTURE, wait_for
+from panel_fixtures import shown as shown_widget
 
 MODULE_FOLDER = os.path.join(os.path.dirname(__file__), "..", "..", "MedColor")
 
@@ -168,7 +169,7 @@ def test_rows_follow_the_kind_of_reference(panel, source, visible):
         "recommendButton",
         "recommendedList",
     }
-    assert {name for name in rows if shown(getattr(panel.ui, name))} == visible
+    assert {name for name in rows if shown_widget(getattr(panel.ui, name))} == visible
 
 
 # --- what is missing -------------------------------------------------------------------------------------------------
@@ -217,13 +218,20 @@ def test_first_volume_of_the_scene_is_chosen(panel):
 
 def test_plan_and_times_are_readable_before_apply(ready, monkeypatch):
     import MedColorLib
-    from MedColorLib.run.expected_error import expected_error
+    from MedColorLib.run.expected_error import NOT_MEASURED, expected_error
 
     plan = types.SimpleNamespace(text=lambda: "left out: nothing", slices=tuple(range(40)), features="embedded")
     monkeypatch.setattr(MedColorLib, "make_plan", lambda *_, **_options: plan)
     wait_for(lambda: ready.ui.planText.plainText.startswith("left out: nothing"))
     measured = expected_error(MedColorLib.Settings(preset=ready.parameters.preset), "embedded")
-    assert ready.ui.planText.plainText.endswith(f"Colour error to expect: {measured.text()}")
+    assert len(ready.ui.planLabel.text.splitlines()) == 2
+    assert ready.ui.planLabel.text.startswith("40 slices, about")
+    assert not shown_widget(ready.ui.planText)
+    ready.ui.planDetailsButton.click()
+    assert shown_widget(ready.ui.planText)
+    assert ready.ui.planText.plainText.endswith(
+        f"Colour error to expect: {measured.text() if measured else NOT_MEASURED}"
+    )
     assert [ready.ui.presetComboBox.itemText(n).split(" (about ")[0] for n in range(3)] == ["Draft", "Balanced", "Full"]
     assert "min" in ready.ui.presetComboBox.itemText(2)
     shown = [ready.ui.presetComboBox.itemText(n) for n in range(3)]

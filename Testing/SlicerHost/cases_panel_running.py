@@ -296,7 +296,9 @@ def test_display_controls(ready):
 @pytest.mark.parametrize(("views", "words"), [(0, "no 3-D view"), (1, "")])
 def test_a_missing_view_is_said(ready, monkeypatch, views, words):
     """The window is not asked about OpenGL: that of Slicer's views always says no, for nobody tells it."""
-    view = types.SimpleNamespace(forceRender=lambda: None, scheduleRender=lambda: None)
+    view = types.SimpleNamespace(
+        forceRender=lambda: None, scheduleRender=lambda: None, displayableManagerByClassName=lambda _name: None
+    )
     widget = types.SimpleNamespace(threeDView=lambda: view)
     manager = types.SimpleNamespace(threeDViewCount=views, threeDWidget=lambda _index: widget)
     monkeypatch.setattr(slicer.app, "layoutManager", lambda: manager)

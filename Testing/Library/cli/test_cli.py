@@ -265,7 +265,7 @@ class TestHelp:
             (("colorize", "a", "-r", "b", "--slices", "3"), "expected A:B with whole numbers, got '3'"),
             (("colorize", "a", "-r", "b", "--slices", "-1:3"), "--slices"),
             (("colorize", "a", "-r", "b", "--bogus"), "unrecognized arguments: --bogus"),
-            (("render", "a"), "the following arguments are required: -o"),
+            (("render",), "the following arguments are required: VOLUME"),
             (("weights", "fetch", "resnet"), "invalid choice: 'resnet'"),
         ],
     )
