@@ -50,7 +50,7 @@ def test_kinds_of_references(logic, library, tmp_path, kind):
     logic.process(grey_node(), given)
     got = library.calls[0][1]
     assert [r if isinstance(r, str) else r.shape for r in got] == {
-        "path": [path], "folder": [path], "node": [(4, 5, 3)], "array": [(4, 5, 3)], "list": [path, (4, 5, 3)],
+        "path": [path], "folder": [str(tmp_path)], "node": [(4, 5, 3)], "array": [(4, 5, 3)], "list": [path, (4, 5, 3)],
     }[kind]  # fmt: skip
 
 
