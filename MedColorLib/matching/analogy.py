@@ -141,8 +141,8 @@ def response_weight(features: Tensor, alpha: float) -> Tensor:
     (N, 1, h, w). It needs features whose length says how strongly the network responds, such as VGG-19's: 40 to 96 % of a body's
     positions are strong there. Features of one length (a spread below LEAST_SPREAD, which rounding alone may give) say
     nothing of it: all positions count as strong, W = alpha. Were they all weak, W = 0, nothing of the slice's own would
-    remain in the latent image: on pairs with embedded features 2.6 instead of 1.6 CIEDE2000. The embedded features
-    themselves, of length 1 to 2, are strong everywhere by the formula.
+    remain in the latent image: on pairs 2.6 instead of 1.6 CIEDE2000. Self-similarity, of length 1 to 2, is strong
+    everywhere by the formula.
     """
     magnitude = features.float().square().sum(1, keepdim=True)
     low, high = magnitude.amin((2, 3), keepdim=True), magnitude.amax((2, 3), keepdim=True)

@@ -46,12 +46,15 @@ def suite(monkeypatch, folder) -> Suite:
 
 
 class TestTable:
-    def test_every_method_has_its_row_and_only_the_defaults_are_judged(self, suite):
+    def test_every_method_has_its_row_and_only_what_is_promised_is_judged(self, suite):
         table = suite.tables["seen"]
         assert [row["method"] for row in table.where(measure="detail, correlation")] == [DEFAULT, *trivial.METHODS]
-        judged = {row["measure"]: row["met"] for row in table.where() if row["met"] is not None}
-        assert judged == {"CT slice 122": True, "detail, correlation": False}
-        assert {row["method"] for row in table.where() if row["met"] is not None} == {DEFAULT}
+        judged = {(row["method"], row["measure"]): row["met"] for row in table.where() if row["met"] is not None}
+        assert judged == {
+            (DEFAULT, "CT slice 122"): True,
+            (DEFAULT, "detail, correlation"): False,
+            (trivial.REFERENCE_END, "CT slice 122"): True,  # of detail nothing is promised there
+        }
 
     def test_trivial_methods_have_no_features(self, suite):
         features = {row["method"]: row["features"] for row in suite.tables["seen"].where()}
@@ -122,7 +125,9 @@ class TestTargets:
         assert rows["CT slice 122, 10 regions"]["met"] is True
         assert rows["CT slice 122, 10 regions, worst"]["limit"] == 12
         assert rows["detail, correlation, CT head, at least"]["met"] is False
-        assert len(rows) == 3
+        slider = [name for name in rows if trivial.REFERENCE_END in name]
+        assert slider == [f"CT slice 122, 10 regions, {trivial.REFERENCE_END}{end}" for end in ("", ", worst")]
+        assert len(rows) == 3 + len(slider)
 
     def test_a_measure_without_a_number_is_not_met(self):
         table = Table(measures.COLUMNS)
