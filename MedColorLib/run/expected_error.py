@@ -23,7 +23,7 @@ NOT_MEASURED = "not measured by the benchmark for these settings"
 
 @dataclass(frozen=True)
 class ExpectedError:
-    """Mean CIEDE2000 inside the body, with the scan's own luminance, from the easiest to the hardest pair.
+    """Mean CIEDE2000 of a*, b* inside the body, at the true lightness, from the easiest to the hardest pair.
 
     Attributes:
         low, high: the smallest and the largest mean. easiest, hardest: the pairs they were measured on.
@@ -52,7 +52,7 @@ def expected_error(settings: Settings, features: str) -> ExpectedError | None:
     Args:
         features: as resolved (not "auto").
     """
-    if settings.luminance != "keep" or settings.smoother_options:
+    if settings.luminance == "paper" or settings.smoother_options:
         return None
     method = settings.preset if settings.reconstruction == "warp" else f"{settings.preset}, {settings.reconstruction}"
     return _table().get((features, method, settings.resolved_smoother, settings.resolved_gamma))
