@@ -38,8 +38,8 @@ def files_below(folder: Path, *endings: str) -> set[str]:
 
 
 def test_library_is_installed_whole_beside_the_module(built):
-    installed = files_below(built[1] / "MedColorLib", ".py", ".json", ".typed")
-    assert installed == files_below(REPOSITORY / "MedColorLib", ".py", ".json", ".typed")
+    installed = files_below(built[1] / "MedColorLib", ".py", ".json", ".typed", ".safetensors")
+    assert installed == files_below(REPOSITORY / "MedColorLib", ".py", ".json", ".typed", ".safetensors")
 
 
 def test_module_is_installed_whole(built):
@@ -52,7 +52,9 @@ def test_module_is_installed_whole(built):
 
 def test_no_data_or_tests_are_installed(built):
     names = files_below(built[1], "")
-    assert not [name for name in names if name.startswith("Testing") or name.endswith((".npz", ".safetensors", ".md"))]
+    assert not [name for name in names if name.startswith("Testing") or name.endswith((".npz", ".md"))]
+    weights = [name.rpartition("/")[2] for name in names if name.endswith(".safetensors")]
+    assert weights == ["contrast_net.safetensors"], "MedColor's own, and no other network's"
 
 
 def test_installed_library_is_importable_on_its_own(built):
