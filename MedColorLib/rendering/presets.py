@@ -22,6 +22,7 @@ SPECULAR_POWER = 10.0
 GRADIENT_OPACITY = 1.0
 
 DEFAULT_OPACITY = 0.5
+PICTURE_OPACITY = 0.9  # of pictures to keep: skin and cut faces, not a haze
 
 # Alpha (0..255) up to which a voxel counts as air, and from which a surface counts as tissue. Noise in air stays below
 # the first; partial volume between air and skin lies between the two.

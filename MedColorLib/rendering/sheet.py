@@ -26,7 +26,7 @@ from .grid import (
 from .layout import PANEL_RGB, Sheet
 from .lights import check_light
 from .offscreen import Camera, Stage
-from .presets import DEFAULT_OPACITY, opacity_curve
+from .presets import PICTURE_OPACITY, opacity_curve
 from .sections import MAX_SECTION_SIDE, SectionFrame, section_frame, sections
 from .views import camera_for, corner_cut
 
@@ -54,7 +54,7 @@ def contact_sheet(
     size: tuple[int, int] = (1600, 1200),
     *,
     window: tuple[float, float] | None = None,
-    opacity: float = DEFAULT_OPACITY,
+    opacity: float = PICTURE_OPACITY,
     centre: tuple[float, float, float] | None = None,
     voxel_budget: int = VOXEL_BUDGET,
     titles: tuple[str, str] = ("Scan", "Coloured"),
@@ -117,7 +117,7 @@ def render_to_png(
     size: tuple[int, int] = (1600, 1200),
     *,
     window: tuple[float, float] | None = None,
-    opacity: float = DEFAULT_OPACITY,
+    opacity: float = PICTURE_OPACITY,
     centre: tuple[float, float, float] | None = None,
     voxel_budget: int = VOXEL_BUDGET,
     titles: tuple[str, str] = ("Scan", "Coloured"),

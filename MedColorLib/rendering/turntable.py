@@ -17,7 +17,7 @@ from ..errors import MissingPackageError, OutputError, SettingsError
 from ..volume import ColorVolume
 from .grid import VOXEL_BUDGET, Cut, cut_grid, prepare_grid
 from .offscreen import Stage, check_size
-from .presets import DEFAULT_OPACITY, opacity_curve
+from .presets import PICTURE_OPACITY, opacity_curve
 from .views import body_radius_camera, camera_for, turned
 
 FRAMES, FRAMES_PER_SECOND = 72, 24
@@ -31,7 +31,7 @@ def turntable(
     size: tuple[int, int] = (800, 800),
     *,
     frames: int = FRAMES,
-    opacity: float = DEFAULT_OPACITY,
+    opacity: float = PICTURE_OPACITY,
     light: str = "plain",
     cut: Cut | None = None,
     voxel_budget: int = VOXEL_BUDGET,

@@ -12,7 +12,7 @@ from ..volume import ColorVolume
 from .grid import VOXEL_BUDGET, Cut, Grid, cut_grid, not_black, prepare_grid
 from .lights import check_light
 from .offscreen import Camera, Stage, check_size
-from .presets import ALPHA_AIR, DEFAULT_OPACITY, opacity_curve
+from .presets import ALPHA_AIR, PICTURE_OPACITY, opacity_curve
 
 # Name: (from the body to the viewer, up), both in RAS: x to the patient's right, y to the front, z to the head.
 VIEWS = {
@@ -139,7 +139,7 @@ def render_view(
     view: str = "anterior",
     size: tuple[int, int] = (800, 800),
     *,
-    opacity: float = DEFAULT_OPACITY,
+    opacity: float = PICTURE_OPACITY,
     shade: bool = True,
     light: str = "plain",
     cut: Cut | None = None,
