@@ -84,12 +84,15 @@ class Scene:
 
 
 def errors(result, labels) -> dict[int, float]:
-    """Mean CIEDE2000 of each tissue from its own colour, at the result's luminance; two pixels from its border on."""
+    """Mean CIEDE2000 of each tissue from its own colour, at the result's luminance; two pixels from its border on.
+
+    Six from the border of the body, where colour fades (`coloring.rim`).
+    """
     lab = srgb_to_lab(result.rgb)
     found = {}
     for label, chroma in ((HOST, BROWN), (INSERT, PINK)):
         own = np.stack([cv2.erode((plane == label).astype(np.uint8), np.ones((3, 3))) for plane in labels]) > 0
-        own &= lab[..., 0] > 20
+        own &= np.stack([cv2.erode((plane > 0).astype(np.uint8), np.ones((13, 13))) for plane in labels]) > 0
         truth = lab.copy()
         truth[..., 1:] = chroma
         found[label] = float(ciede2000(lab[own], truth[own]).mean())
