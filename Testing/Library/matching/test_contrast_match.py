@@ -69,7 +69,23 @@ def test_trusts_a_picture_after_itself_more_than_after_another():
     assert own.likeness[0][inside].mean() > foreign.likeness[0][inside].mean() + 0.1
 
 
-def test_match_is_the_slow_search():
+@pytest.fixture
+def in_float32(monkeypatch):
+    """Products of the search in float32, so that what it finds can be held against exact arithmetic."""
+    monkeypatch.setattr("MedColorLib.matching.contrast_match.fast_dtype", lambda *_: torch.float32)
+
+
+def test_the_fast_type_finds_as_good_matches(monkeypatch):
+    """Products in bfloat16, whatever this machine multiplies fastest: matches as alike as those of float32."""
+    (picture, mask), (other, _) = _picture(3), _picture(4)
+    found = {}
+    for kind in (torch.float32, torch.bfloat16):
+        monkeypatch.setattr("MedColorLib.matching.contrast_match.fast_dtype", lambda *_, kind=kind: kind)
+        found[kind] = _self_match(picture, other * mask, mask).similarity[0].mean()
+    assert found[torch.bfloat16] == pytest.approx(float(found[torch.float32]), abs=2e-3)
+
+
+def test_match_is_the_slow_search(in_float32):
     """Against all patches compared one by one."""
     rng = np.random.default_rng(0)
     generator = torch.Generator().manual_seed(0)
@@ -96,7 +112,7 @@ def test_match_is_the_slow_search():
         assert float(found.similarity[0, y, x]) == pytest.approx(scores[chosen] / shares[chosen], abs=1e-5)
 
 
-def test_similarity_leaves_position_out():
+def test_similarity_leaves_position_out(in_float32):
     generator = torch.Generator().manual_seed(0)
     a, b = (torch.nn.functional.normalize(torch.randn(1, 5, 6, 7, generator=generator), dim=1) for _ in range(2))
     mask = torch.ones(24, 28, dtype=torch.bool)

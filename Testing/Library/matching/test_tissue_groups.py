@@ -182,7 +182,19 @@ class TestCommandLine:
             "--preset",
             "draft",
         ]
-        given += ["--features", "embedded", "--window", "0", "1000", "--device", "cpu", "--report", files / "r.json"]
+        given += [
+            "--features",
+            "embedded",
+            "--window",
+            "0",
+            "1000",
+            "--device",
+            "cpu",
+            "--report",
+            files / "r.json",
+            "--exposure",
+            "off",
+        ]
         return main([str(a) for a in [*given, *(["--labels", files / labels] if labels else []), *more]])
 
     def test_same_as_the_library(self, scene, files):

@@ -14,7 +14,8 @@ from MedColorLib.errors import SettingsError
 from MedColorLib.phantom import section
 from MedColorLib.references.exposure import BRIGHTEST, Exposure, expose, exposed, neutral_balance
 from MedColorLib.references.loading import load_references
-from MedColorLib.references.photograph import Reference, prepare_reference, read_picture
+from MedColorLib.references.photograph import Reference, prepare_reference
+from MedColorLib.references.pictures import read_picture
 from MedColorLib.references.tissue_mask import tissue_mask
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
