@@ -209,7 +209,7 @@ def _add_render(commands) -> None:
     command.add_argument("--view", choices=_VIEWS, help="a single view in place of the sheet")
     command.add_argument("--cut", nargs="+", choices=SIDES, metavar="SIDE", help=f"take away: {', '.join(SIDES)}")
     command.add_argument("--opacity", type=float, metavar="X", help="0 to 1: bone alone, muscle, skin")
-    command.add_argument("--light", choices=("plain", "realistic"), default="plain")
+    command.add_argument("--light", choices=("plain", "realistic"), default="plain", help="realistic: with shadows")
     command.add_argument(
         "--turntable", type=path_name, metavar="OUT", help="the body turns once around: .mp4, .gif, or a folder of pictures"
     )
