@@ -46,6 +46,18 @@ from __future__ import annotations
 
 import os
 from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:  # what `__getattr__` finds, for type checkers and editors; a test compares the two
+    from .cohort.batch import run_batch
+    from .filters import fast_global_smoother
+    from .io.files import read_color_volume, read_volume, write_color_volume, write_confidence
+    from .matching.tissue_guard import Guard
+    from .parameters import Settings
+    from .pipeline import colorize, make_plan
+    from .plan import Plan
+    from .run.resume import Resume, forget_run
+    from .volume import ColorVolume, Volume
 
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
@@ -69,7 +81,23 @@ _WHERE = {
     "write_confidence": "io.files",
 }
 
-__all__ = list(_WHERE)
+__all__ = [
+    "ColorVolume",
+    "Guard",
+    "Plan",
+    "Resume",
+    "Settings",
+    "Volume",
+    "colorize",
+    "fast_global_smoother",
+    "forget_run",
+    "make_plan",
+    "read_color_volume",
+    "read_volume",
+    "run_batch",
+    "write_color_volume",
+    "write_confidence",
+]
 
 
 def __getattr__(name: str):

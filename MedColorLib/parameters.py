@@ -9,17 +9,27 @@ import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from numbers import Real
+from typing import Any, Literal, get_args
 
 import numpy as np
 
 from .errors import InputError, SettingsError
 from .volume import Volume
 
-FEATURES = ("auto", "embedded", "vgg19", "gray-vgg19")
+# What type checkers and editors see of the choices; the tuples below are what is checked when a program runs.
+PresetName = Literal["draft", "balanced", "full"]
+FeaturesName = Literal["auto", "embedded", "vgg19", "gray-vgg19"]
+SmootherName = Literal["auto", "regression", "fgs", "guided", "domain-transform", "wls"]
+LuminanceName = Literal["natural", "keep", "paper"]
+ReconstructionName = Literal["warp", "lbfgs"]
+PlaneName = Literal["transverse", "acquired"]
+
+FEATURES: tuple[str, ...] = get_args(FeaturesName)
 AVERAGING = ("fgs", "domain-transform", "wls")  # weights of one sign: S(w d) / S(w) stays between the values of d
-SMOOTHERS = ("auto", "regression", "fgs", "guided", "domain-transform", "wls")
-LUMINANCE = ("natural", "keep", "paper")
-RECONSTRUCTIONS = ("warp", "lbfgs")
+SMOOTHERS: tuple[str, ...] = get_args(SmootherName)
+LUMINANCE: tuple[str, ...] = get_args(LuminanceName)
+RECONSTRUCTIONS: tuple[str, ...] = get_args(ReconstructionName)
+PLANES: tuple[str, ...] = get_args(PlaneName)
 
 
 @dataclass(frozen=True)
@@ -48,7 +58,7 @@ class Preset:
     components: int | None
 
 
-PRESETS = {
+PRESETS: dict[str, Preset] = {
     "draft": Preset(160, 3, "regression", context=True, gamma=False, weighted=True, components=96),
     "balanced": Preset(256, 3, "regression", context=True, gamma=False, weighted=True, components=96),
     "full": Preset(256, 1, "fgs", context=False, gamma=True, weighted=False, components=None),
@@ -116,25 +126,25 @@ class Settings:
             None: found); for a folder a folder of masks. None: found in all.
     """
 
-    preset: str = "balanced"
-    features: str = "auto"
-    smoother: str = "auto"
+    preset: PresetName = "balanced"
+    features: FeaturesName = "auto"
+    smoother: SmootherName = "auto"
     smoother_options: dict | None = None
-    luminance: str = "natural"
+    luminance: LuminanceName = "natural"
     lightness: float = 0.9
     gamma: bool | None = None
     window: tuple[float, float] | None = None
     slices: tuple[int, int] | None = None
     region: tuple[tuple[int, int], tuple[int, int], tuple[int, int]] | None = None
     body: str | os.PathLike | np.ndarray | Volume | BodyMask = "auto"
-    plane: str = "transverse"
+    plane: PlaneName = "transverse"
     device: str = "auto"
     coherence_mm: float = 8.0
     confidence: bool = False
     seed: int = 0
-    reconstruction: str = "warp"
+    reconstruction: ReconstructionName = "warp"
     batch: int = 4
-    exposure: str | float = "auto"
+    exposure: Literal["auto", "off"] | float = "auto"
     reference_masks: tuple[str | None, ...] | None = None
 
     def __post_init__(self) -> None:
@@ -143,7 +153,7 @@ class Settings:
         _one_of("features", self.features, FEATURES)
         _one_of("smoother", self.smoother, SMOOTHERS)
         _one_of("luminance", self.luminance, LUMINANCE)
-        _one_of("plane", self.plane, ("transverse", "acquired"))
+        _one_of("plane", self.plane, PLANES)
         _one_of("reconstruction", self.reconstruction, RECONSTRUCTIONS)
         _set(self, "body", _body(self.body))
         if not isinstance(self.device, str) or not self.device:
@@ -249,7 +259,7 @@ def _one_of(name: str, value: object, allowed: tuple[str, ...]) -> None:
         raise SettingsError(f"{name}: {value!r} is not one of {', '.join(allowed)}")
 
 
-def _whole(value: object) -> int | None:
+def _whole(value: Any) -> int | None:
     """A whole number of any kind, also NumPy's, as int; None for anything else, True and 2.0 among it."""
     try:
         return None if isinstance(value, bool) else operator.index(value)
@@ -257,7 +267,7 @@ def _whole(value: object) -> int | None:
         return None
 
 
-def _number(value: object) -> float | None:
+def _number(value: Any) -> float | None:
     """A finite number of any kind as float (an int stays one); None for anything else, text among it."""
     if isinstance(value, (bool, str, bytes)):
         return None
@@ -277,7 +287,7 @@ def _smoother_options(settings: Settings) -> dict | None:
     return {name: getattr(checked, name) for name in options} or None
 
 
-def _listed(value: object) -> list:
+def _listed(value: Any) -> list:
     """The members of a sequence; of text or anything that is none, an empty list."""
     if isinstance(value, (str, bytes, Mapping)):
         return []
@@ -299,7 +309,7 @@ def _window(value) -> tuple[float, float]:
 
 
 def _region(value) -> tuple:
-    ranges = tuple(tuple(_whole(v) for v in _listed(ends)) for ends in _listed(value))
+    ranges: tuple[Any, ...] = tuple(tuple(_whole(v) for v in _listed(ends)) for ends in _listed(value))
     if len(ranges) != 3 or any(len(ends) != 2 or None in ends for ends in ranges):
         raise SettingsError(f"region: expected ((k0, k1), (j0, j1), (i0, i1)) in whole numbers, got {value!r}")
     if any(not 0 <= start < stop for start, stop in ranges):
@@ -308,7 +318,7 @@ def _region(value) -> tuple:
 
 
 def _range(value) -> tuple[int, int]:
-    ends = [_whole(v) for v in _listed(value)]
+    ends: list[Any] = [_whole(v) for v in _listed(value)]
     if len(ends) != 2 or None in ends:
         raise SettingsError(f"slices: expected START and STOP in whole numbers, got {value!r}")
     start, stop = ends

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from .run.paint import Painter
     from .run.resume import Resume, RunStore
 
-log = logging.getLogger("MedColor")
+log = logging.getLogger("MedColorLib")
 
 
 def make_plan(

@@ -58,6 +58,10 @@ class Volume:
         """(3,) distances between voxel centres along i, j, k in millimetres."""
         return np.linalg.norm(self.ijk_to_ras[:3, :3], axis=0)
 
+    def __repr__(self) -> str:
+        """Size, type and place, no voxels: <Volume 'head' 48 x 128 x 112 (k, j, i) int16, 2 x 2 x 3 mm (i, j, k)>."""
+        return f"<Volume {self.name!r} {_in_words(self.array, self.spacing_mm)}>"
+
 
 @dataclass(frozen=True)
 class ColorVolume:
@@ -89,3 +93,13 @@ class ColorVolume:
     def spacing_mm(self) -> np.ndarray:
         """(3,) distances between voxel centres along i, j, k in millimetres."""
         return np.linalg.norm(self.ijk_to_ras[:3, :3], axis=0)
+
+    def __repr__(self) -> str:
+        """Size and place, neither voxels nor report."""
+        confidence = "" if self.confidence is None else ", with confidence"
+        return f"<ColorVolume {self.name!r} {_in_words(self.rgb[..., 0], self.spacing_mm)} RGB{confidence}>"
+
+
+def _in_words(array: np.ndarray, spacing_mm: np.ndarray) -> str:
+    size, spacing = " x ".join(map(str, array.shape)), " x ".join(f"{step:.4g}" for step in spacing_mm)
+    return f"{size} (k, j, i) {array.dtype.name}, {spacing} mm (i, j, k)"

@@ -78,7 +78,7 @@ def grouped_by_name(node) -> bool:
 
 def _numbered(groups: dict[int, str]) -> dict[int, int]:
     names = sorted(set(groups.values()))
-    logging.getLogger("MedColor").info("tissue labels: %d segments in the groups %s", len(groups), ", ".join(names))
+    logging.getLogger("MedColorLib").info("tissue labels: %d segments in the groups %s", len(groups), ", ".join(names))
     return {label: names.index(name) + 1 for label, name in groups.items()}
 
 

@@ -16,7 +16,7 @@ from . import references as references_of
 from .dependencies import needs_packages
 from .parameters import MedColorParameterNode
 
-_LOG = logging.getLogger("MedColor")
+_LOG = logging.getLogger("MedColorLib")
 
 
 class MedColorLogic(ScriptedLoadableModuleLogic):

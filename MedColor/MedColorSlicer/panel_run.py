@@ -13,7 +13,7 @@ from .labels import grouped_by_name
 from .panel_plan import learn
 from .parameters import settings_from
 
-_LOG = logging.getLogger("MedColor")
+_LOG = logging.getLogger("MedColorLib")
 
 
 class Runs:

@@ -53,7 +53,7 @@ class RenderingGuard(VTKObservationMixin):
             if rendering.has_medcolor_look(display):
                 rendering.restore_unsaved(display)
             else:
-                logging.getLogger("MedColor").info("colour rendering restored: a preset does not suit an RGB volume")
+                logging.getLogger("MedColorLib").info("colour rendering restored: a preset does not suit an RGB volume")
                 rendering.reset(volume_node)
         finally:
             self._busy = False

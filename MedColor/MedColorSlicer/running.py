@@ -84,11 +84,11 @@ def run_responsive(function, keep_alive, poll_seconds: float = _POLL_SECONDS):
 
 
 class _redirected_log:  # used like a function
-    """Takes the worker's records out of the "MedColor" log and puts them into a queue."""
+    """Takes the worker's records out of the "MedColorLib" log and puts them into a queue."""
 
     def __init__(self, worker, records) -> None:
         self._worker, self._records = worker, records
-        self._logger = logging.getLogger("MedColor")
+        self._logger = logging.getLogger("MedColorLib")
 
     def __enter__(self) -> None:
         self._logger.addFilter(self._catch)
@@ -109,7 +109,7 @@ def _log_here(records) -> None:
             record = records.get_nowait()
         except queue.Empty:
             return
-        logging.getLogger("MedColor").callHandlers(record)
+        logging.getLogger("MedColorLib").callHandlers(record)
 
 
 def readable_seconds(seconds: float) -> str:

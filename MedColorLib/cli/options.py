@@ -209,7 +209,7 @@ def _add_render(commands) -> None:
     command.add_argument("--view", choices=_VIEWS, help="a single view in place of the sheet")
     command.add_argument("--cut", nargs="+", choices=SIDES, metavar="SIDE", help=f"take away: {', '.join(SIDES)}")
     command.add_argument("--opacity", type=float, metavar="X", help="0 to 1: bone alone, muscle, skin (default: 0.9)")
-    command.add_argument("--light", choices=("plain", "realistic"), default="plain")
+    command.add_argument("--light", choices=("plain", "realistic"), default="plain", help="realistic: with shadows")
     command.add_argument(
         "--turntable", type=path_name, metavar="OUT", help="the body turns once around: .mp4, .gif, or a folder of pictures"
     )
@@ -226,8 +226,8 @@ def _add_recommend(commands) -> None:
         "--top", type=at_least(1), default=3, metavar="N", help="how many to name (default: %(default)s)"
     )
     command.add_argument("--slice", type=int, metavar="K", help="one transverse slice, counted from the feet")
-    command.add_argument("--features", choices=FEATURES, default="auto")
-    command.add_argument("--device", default="auto")
+    command.add_argument("--features", choices=FEATURES, default="auto", help="as in colorize")
+    command.add_argument("--device", default="auto", help="auto, cpu, cuda, cuda:N or mps (default: %(default)s)")
     command.set_defaults(run="recommend")
 
 
@@ -242,14 +242,14 @@ def _add_library(commands) -> None:
     fetch.add_argument("-y", "--yes", action="store_true", help="do not ask before the download")
     fetch.set_defaults(run="library_fetch", interrupted=_KEPT)
     add = actions.add_parser("add", help="prepare a folder of photographs, atlas plates or painted slices")
-    add.add_argument("folder", type=file_name, metavar="FOLDER")
+    add.add_argument("folder", type=file_name, metavar="FOLDER", help="the pictures")
     add.add_argument("--name", help="of the library (default: the folder's name)")
     add.add_argument("--credit", default="", help="whom to name with results")
     add.add_argument("--licence", default="", help="of the pictures")
     add.set_defaults(run="library_add", interrupted=_KEPT)
     actions.add_parser("list", help="libraries on this machine").set_defaults(run="library_list")
     remove = actions.add_parser("remove", help="delete a library from this machine")
-    remove.add_argument("name")
+    remove.add_argument("name", help="as `medcolor library list` says")
     remove.set_defaults(run="library_remove")
 
 
@@ -259,7 +259,8 @@ def _add_weights(commands) -> None:
     status = actions.add_parser("status", help="say what is present")
     status.set_defaults(run="weights_status")
     fetch = actions.add_parser("fetch", help="download, check and convert; resumes a broken download")
-    fetch.add_argument("network", nargs="?", choices=("vgg19", "gray-vgg19"), default="vgg19")
+    text = "of which network (default: %(default)s)"
+    fetch.add_argument("network", nargs="?", choices=("vgg19", "gray-vgg19"), default="vgg19", help=text)
     fetch.set_defaults(run="weights_fetch")
 
 

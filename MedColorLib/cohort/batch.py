@@ -30,7 +30,7 @@ from ..parameters import Settings
 from ..run.resume import Resume, forget_run, forget_runs, weights_sha256
 from .workers import run_here, run_on_cluster, run_processes
 
-log = logging.getLogger("MedColor")
+log = logging.getLogger("MedColorLib")
 
 VOLUME_ENDINGS = (".nrrd", ".nhdr", ".mha", ".mhd", ".nii", ".nii.gz")
 TIFF_ENDINGS = (".tif", ".tiff")

@@ -23,7 +23,7 @@ from typing import Any
 from ..errors import DeviceError, MedColorError, MissingPackageError
 from ..terminal import log_to_stderr
 
-log = logging.getLogger("MedColor")
+log = logging.getLogger("MedColorLib")
 
 RETRIES = 2  # after a worker was lost
 CONNECT_SECONDS = 10

@@ -59,6 +59,10 @@ class Extractor(Protocol):
         """(N, 1, H, W) -> (N, D): one vector per slice for the recommendation of references."""
         ...
 
+    def provenance(self) -> dict:
+        """What the features depend on beside the picture, JSON-ready: hashes of weights, settings; for features that are kept."""
+        ...
+
 
 def choose_features(name: str, preset: str = "balanced") -> str:
     """Resolve `auto`; check that a named network exists.

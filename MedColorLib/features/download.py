@@ -19,7 +19,7 @@ from typing import BinaryIO, Callable
 
 from ..errors import Cancelled, MedColorError, SettingsError, WeightsError
 
-_logger = logging.getLogger("MedColor")
+_logger = logging.getLogger("MedColorLib")
 _CHUNK_BYTES = 1 << 18
 _TIMEOUT_S = 30.0
 _BARREN_ATTEMPTS = 3  # connections in a row that bring nothing before giving up

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from . import Extractor
 
-log = logging.getLogger("MedColor")
+log = logging.getLogger("MedColorLib")
 
 _NAME = re.compile(r"[0-9a-f]{64}\.safetensors")
 MOST_BYTES = 500_000_000  # of all references together; those not read for the longest time are deleted first

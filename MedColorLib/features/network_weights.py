@@ -19,7 +19,7 @@ from .download import sha256_of
 if TYPE_CHECKING:
     import torch
 
-_logger = logging.getLogger("MedColor")
+_logger = logging.getLogger("MedColorLib")
 _BLOCK_ROWS = 256  # of fc6: 26 MB in float32, instead of 411 MB for the whole matrix
 
 

@@ -22,7 +22,7 @@ from .checkpoints import is_safetensors, open_checkpoint
 from .download import download, sha256_of
 from .network_weights import NetworkWeights, convert_weights
 
-_logger = logging.getLogger("MedColor")
+_logger = logging.getLogger("MedColorLib")
 _SUFFIXES = (".safetensors", ".pth", ".pt", ".npz", ".caffemodel")  # which files of a folder are worth opening
 
 

@@ -15,7 +15,7 @@ from .checks import float64_pair, in_range_of, output_dtype, require_parameters
 if TYPE_CHECKING:
     from scipy.sparse import csr_matrix
 
-_LOG = logging.getLogger("MedColor")
+_LOG = logging.getLogger("MedColorLib")
 DIRECT_PIXELS = 600_000  # above: tiles. A direct factor takes 1.2 GB here and grows faster than the image
 _TILE, _OVERLAP = 512, 48  # pixels; the overlap is the decay length sqrt(lam / eps) of the defaults
 _RESIDUAL_WANTED, _RESIDUAL_ALLOWED, _STEPS = 1e-10, 1e-7, 2000

@@ -24,7 +24,7 @@ from ..scan.grid import choose_grid
 from ..volume import Volume
 from .orientation import turned
 
-log = logging.getLogger("MedColor")
+log = logging.getLogger("MedColorLib")
 
 _GRID_PX = 256
 # Left and right of a body differ little. A CT head against a library of itself, remapped and warped (41 pictures, 5 mm):

@@ -24,7 +24,7 @@ from .to_srgb import TAG_GROUPS
 if TYPE_CHECKING:
     from PIL import Image
 
-log = logging.getLogger("MedColor")
+log = logging.getLogger("MedColorLib")
 
 # fmt: off
 # Of Pillow's: those that run no other program and hold no volume. TGA has no mark of its own: only under its name.

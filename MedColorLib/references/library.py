@@ -29,7 +29,7 @@ from .photograph import Frame, Reference, prepare_reference
 from .pictures import Picture, load_picture, pictures_in
 from .tissue_mask import find_tissue
 
-log = logging.getLogger("MedColor")
+log = logging.getLogger("MedColorLib")
 
 INDEX = "library.json"
 LONG_SIDE_PX = 1024  # four times the raster on which slices are matched

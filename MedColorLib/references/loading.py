@@ -21,7 +21,7 @@ from .photograph import Reference, prepare_reference
 from .pictures import LONG_SIDE_PX as READ_SIDE_PX
 from .pictures import pictures_in, reduced
 
-log = logging.getLogger("MedColor")
+log = logging.getLogger("MedColorLib")
 
 MANY = 16  # of more references, none is kept with a shorter side over SIDE_OF_MANY_PX: 700 then take 1 GB instead of 5
 SIDE_OF_MANY_PX = 384  # half again the raster on which slices are matched

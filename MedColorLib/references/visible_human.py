@@ -26,7 +26,7 @@ from ..errors import Cancelled, InputError, MedColorError, SettingsError
 from ..features.download import Subject, connect, connection_errors, download
 from .library import FETCHED, LibraryWriter
 
-log = logging.getLogger("MedColor")
+log = logging.getLogger("MedColorLib")
 
 MAX_PHOTOGRAPH_BYTES = 12 << 20  # 2048 x 1216 x 3 bytes without any compression are 7.5 MB
 _MAX_PAGE_BYTES = 4 << 20

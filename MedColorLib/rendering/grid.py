@@ -12,7 +12,7 @@ from ..scan.intensity import apply_window, choose_window
 from ..volume import ColorVolume, Volume
 from .surface import MARGIN, surface_rgba
 
-_LOG = logging.getLogger("MedColor")
+_LOG = logging.getLogger("MedColorLib")
 
 # 4 bytes each: 100 MB on the graphics card, and about 10 s for a picture on two cores without one.
 VOXEL_BUDGET = 24_000_000

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..errors import SettingsError
 
-_LOG = logging.getLogger("MedColor")
+_LOG = logging.getLogger("MedColorLib")
 
 LIGHTS = ("plain", "realistic")
 _SCATTERING = 0.5  # share of VTK's blending range that stands for shadows within the volume

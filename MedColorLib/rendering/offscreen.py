@@ -17,7 +17,7 @@ from ..errors import DeviceError, MissingPackageError, SettingsError
 from . import lights, presets
 from .grid import Grid
 
-_LOG = logging.getLogger("MedColor")
+_LOG = logging.getLogger("MedColorLib")
 _PROBE = Path(__file__).with_name("probe.py")
 _PROBE_SECONDS = 120  # a software driver compiles its shaders first, on a machine that may be busy
 MAX_PICTURE_SIDE = 8192

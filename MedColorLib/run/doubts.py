@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from .engine import ReferenceOnGrid
     from .prepare import Prepared
 
-log = logging.getLogger("MedColor")
+log = logging.getLogger("MedColorLib")
 
 TELLING_MM = 60.0  # of body along the stack; a thin slab of a symmetric part looks alike whichever way up
 

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from ..matching.analogy import Match
     from .resume import RunStore
 
-log = logging.getLogger("MedColor")
+log = logging.getLogger("MedColorLib")
 
 UNVOTED_TRUST = 1e-3  # of a group's mean colour, where the guard left no match: a fiftieth of the least trusted match
 OWN_LAYER = 3  # whose raster is that of MedColor's own features: positions of 4 x 4 pixels

@@ -24,6 +24,9 @@ from ..scan.slices import SliceOrder, sample_slices, slice_order
 from ..volume import Volume
 from .patient import choose_body, describe_body
 
+# how the plan speaks of feature networks
+NETWORKS = {"embedded": "MedColor's own network (no download)", "vgg19": "VGG-19", "gray-vgg19": "gray VGG-19"}
+
 
 @dataclass(frozen=True)
 class Prepared:
@@ -127,9 +130,6 @@ def _plan(volume, settings, order, view, body, chosen, window, references, grid,
     preset, smoother = PRESETS[settings.preset], settings.resolved_smoother
     boxes = body.boxes[chosen]
     cropped = float(((boxes[:, 1] - boxes[:, 0]) * (boxes[:, 3] - boxes[:, 2])).sum()) / (len(chosen) * view[0].size)
-    network = {"embedded": "MedColor's own network (no download)", "vgg19": "VGG-19", "gray-vgg19": "gray VGG-19"}[
-        features
-    ]
     layers = "one layer" if features == "embedded" else f"layers 5 to {preset.stop_layer}"
     shape = " x ".join(map(str, volume.array.shape))
     auto = " (auto)" if settings.features == "auto" else ""
@@ -145,7 +145,7 @@ def _plan(volume, settings, order, view, body, chosen, window, references, grid,
         "window": f"{window.low:g} to {window.high:g} ({window.source})",
         "body": describe_body(body, len(chosen)),
         "references": describe_references(references),
-        "features": f"{network}{auto}, {layers}, raster {grid.height} x {grid.width}, on {device}",
+        "features": f"{NETWORKS[features]}{auto}, {layers}, raster {grid.height} x {grid.width}, on {device}",
         "matching": f"both directions, exhaustive{searched}",
         "coherence": _coherence(settings, order, volume, len(chosen)),
         **_blending(references, len(chosen)),

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from ..matching.analogy import Match
     from .prepare import Prepared
 
-log = logging.getLogger("MedColor")
+log = logging.getLogger("MedColorLib")
 
 _SUFFIX = ".safetensors"
 _KEY = re.compile(r"[0-9a-f]{64}")

@@ -249,7 +249,7 @@ class TestMemory:
 
     def test_smaller_batches_where_memory_is_short(self, ct, colored, monkeypatch, caplog):
         self.short_of_memory(monkeypatch, 1)
-        with caplog.at_level(logging.WARNING, "MedColor"):
+        with caplog.at_level(logging.WARNING, "MedColorLib"):
             result = colorize(part(ct), [ct.reference], settings(batch=4))
         assert result.rgb.tobytes() == colored.rgb.tobytes()
         assert [r.getMessage().split(":")[1].strip() for r in caplog.records] == [

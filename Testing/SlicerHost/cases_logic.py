@@ -253,7 +253,7 @@ def test_log_of_the_worker_arrives_in_the_calling_thread():
         def emit(self, record):
             threads.append((record.getMessage(), threading.current_thread()))
 
-    logger, handler = logging.getLogger("MedColor"), Handler()
+    logger, handler = logging.getLogger("MedColorLib"), Handler()
     logger.addHandler(handler)
     try:
         running.run_responsive(lambda: logger.warning("hello"), lambda: None)

@@ -321,7 +321,7 @@ def test_in_a_folder_damaged_files_are_passed_over_with_a_warning(tmp_path, monk
     (folder / "readme.txt").write_text("not looked at")
     good = written("caffemodel", folder)[0].rename(folder / "b.caffemodel")
     monkeypatch.setenv("MEDCOLOR_WEIGHTS", str(folder))
-    with caplog.at_level("WARNING", "MedColor"):
+    with caplog.at_level("WARNING", "MedColorLib"):
         assert weights.find_weights().path == good
     assert [record.levelname for record in caplog.records] == ["WARNING"]
     assert "a.safetensors" in caplog.text

@@ -77,14 +77,14 @@ def test_a_damaged_index_is_made_anew(ct, library, cache, caplog):
     first = ask(ct, library)
     (index,) = (cache / "library").iterdir()
     index.write_bytes(b"damaged")
-    with caplog.at_level(logging.WARNING, "MedColor"):
+    with caplog.at_level(logging.WARNING, "MedColorLib"):
         assert ask(ct, library) == first
     assert "index is damaged" in caplog.text and [p.name for p in (cache / "library").iterdir()] == [index.name]
 
 
 def test_a_cache_that_cannot_be_written_costs_time_only(ct, library, cache, caplog):
     cache.write_text("a file in the way")
-    with caplog.at_level(logging.WARNING, "MedColor"):
+    with caplog.at_level(logging.WARNING, "MedColorLib"):
         assert ask(ct, library, slice_index=4)[0][0] == "eyes"
     assert "index is not kept" in caplog.text
 
@@ -92,7 +92,7 @@ def test_a_cache_that_cannot_be_written_costs_time_only(ct, library, cache, capl
 def test_unusable_pictures_are_left_out_and_named(ct, library, caplog):
     (library / "broken.png").write_bytes(b"no picture")
     cv2.imwrite(str(library / "grey.png"), np.arange(400, dtype=np.uint16).reshape(20, 20))
-    with caplog.at_level(logging.WARNING, "MedColor"):
+    with caplog.at_level(logging.WARNING, "MedColorLib"):
         assert len(ask(ct, library, top=9)) == 3
     assert "broken.png" in caplog.text and "grey.png" in caplog.text
 
@@ -175,7 +175,7 @@ def test_a_picture_that_cannot_be_read_is_left_out(ct, library, caplog, monkeypa
         return read_bytes(path)
 
     monkeypatch.setattr(Path, "read_bytes", refused)
-    with caplog.at_level(logging.WARNING, "MedColor"):
+    with caplog.at_level(logging.WARNING, "MedColorLib"):
         assert len(ask(ct, library)) == 2
     assert "eyes.png: cannot be read (Permission denied)" in caplog.text
 

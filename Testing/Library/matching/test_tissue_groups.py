@@ -49,7 +49,7 @@ class TestGroups:
     def test_group_without_counterpart_is_matched_freely_and_said(self, scene, caplog):
         labels = np.where(scene.reference_labels == INSERT, HOST, scene.reference_labels)
         guard = scene.guard(reference_labels=[labels])
-        with caplog.at_level(logging.WARNING, "MedColor"):
+        with caplog.at_level(logging.WARNING, "MedColorLib"):
             result = scene.color(guard)
         assert "reference 1 lacks 0 (no label), 2: matched freely" in caplog.text
         assert "lacks 0 (no label), 2: matched freely" in result.report["plan"]["steps"]["tissue guard"]

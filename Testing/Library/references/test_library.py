@@ -59,7 +59,7 @@ class TestAdd:
     def test_what_cannot_be_used_is_named(self, folder, caplog):
         (folder / "broken.png").write_bytes(b"no picture")
         cv2.imwrite(str(folder / "grey.png"), np.arange(400, dtype=np.uint16).reshape(20, 20))
-        with caplog.at_level(logging.WARNING, "MedColor"):
+        with caplog.at_level(logging.WARNING, "MedColorLib"):
             _, index = library.add_library(folder)
         assert [entry["source"] for entry in index["left_out"]] == ["broken.png", "grey.png"]
         assert "broken.png" in caplog.text and len(index["pictures"]) == 3

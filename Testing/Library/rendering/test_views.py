@@ -53,7 +53,7 @@ def test_a_single_slice_or_voxel_is_drawn(gl, shape):
 
 def test_above_the_budget_the_volume_is_thinned_and_that_is_logged(gl, caplog):
     volume = painted(two_colour_ball(), (48, 48, 48))
-    with caplog.at_level(logging.INFO, "MedColor"):
+    with caplog.at_level(logging.INFO, "MedColorLib"):
         thin = view(volume, voxel_budget=8000)
     assert "thinned out" in caplog.text
     full = view(volume)

@@ -242,7 +242,7 @@ class TestStore:
         first = files_of(tmp_path)[0]
         damage(first)
         matched.clear()
-        with caplog.at_level(logging.WARNING, "MedColor"):
+        with caplog.at_level(logging.WARNING, "MedColorLib"):
             result = colorize(volume, references, settings(), resume=tmp_path)
         (said,) = said_of_resume(caplog)
         assert "slices 0 to 1 are matched again" in said and "damaged" in said and str(tmp_path) not in caplog.text
@@ -254,7 +254,7 @@ class TestStore:
     def test_folder_that_cannot_be_written(self, volume, references, tmp_path, caplog):
         (tmp_path / "file").write_text("in the way")
         plain = colorize(volume, references, settings())
-        with caplog.at_level(logging.WARNING, "MedColor"):
+        with caplog.at_level(logging.WARNING, "MedColorLib"):
             result = colorize(volume, references, settings(), resume=tmp_path / "file")
         assert said_of_resume(caplog) == [
             "resume: the folder of unfinished runs cannot be written (Not a directory); what is matched from here on "
@@ -276,7 +276,7 @@ class TestStore:
         broken_off(3, volume, references, settings(), resume=tmp_path / "one")
         size = files_of(tmp_path / "one")[0].stat().st_size
         limited = Resume(tmp_path / "limited", int(2.5 * size))
-        with caplog.at_level(logging.WARNING, "MedColor"):
+        with caplog.at_level(logging.WARNING, "MedColorLib"):
             result = colorize(volume, references, settings(), resume=limited)
         assert sum("limit" in record.getMessage() for record in caplog.records) == 1
         assert "limit" in result.report["resume_problem"]
@@ -292,7 +292,7 @@ class TestStore:
             then = time.time() - age
             os.utime(tmp_path / key, (then, then))
         total = sum(path.stat().st_size for path in files_of(tmp_path))
-        with caplog.at_level(logging.WARNING, "MedColor"):
+        with caplog.at_level(logging.WARNING, "MedColorLib"):
             broken_off(3, volume, references, limits[2], resume=Resume(tmp_path, total))
         assert sorted(path.name for path in tmp_path.iterdir()) == sorted(keys[1:])
         assert "an older interrupted run was deleted" in caplog.text

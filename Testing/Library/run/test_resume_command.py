@@ -34,7 +34,7 @@ class TestSaid:
         broken_off(4, volume, references, settings(), resume=tmp_path)
         assert left_out(make_plan(volume, references, settings(), tmp_path)) == ["3 of 9 slices"]
         assert left_out(make_plan(volume, references, settings())) == []
-        with caplog.at_level(logging.INFO, "MedColor"):
+        with caplog.at_level(logging.INFO, "MedColorLib"):
             report = colorize(volume, references, settings(), resume=tmp_path).report
         assert "an interrupted run left 3 slices matched" in caplog.text
         assert report["resumed_slices"] == 3 and report["resume_problem"] is None
