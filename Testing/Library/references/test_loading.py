@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import SimpleITK as sitk
 from PIL import Image
+from scipy.ndimage import binary_erosion
 
 from MedColorLib import ColorVolume, Settings, Volume, colorize, make_plan, read_color_volume, write_color_volume
 from MedColorLib.color.difference import ciede2000
@@ -180,11 +181,11 @@ def test_a_colour_volume_gives_its_own_luminance_its_colours_back(ct, colored):
     assert result.report["references_assigned"] == "along the series"
     for k, name in result.report["reference_of_slice"].items():
         assert name == f"atlas slice {k}"
-    body = ct.labels > 0
+    body = binary_erosion(ct.labels > 0, np.ones((1, 7, 7)))  # its border fades, here for the second time: `coloring.rim`
     errors = ciede2000(srgb_to_lab(result.rgb[body] / 255.0), lab[body])
     one = colorize(grey, [np.pad(colored.rgb[3], ((4, 4), (4, 4), (0, 0)))], settings)
     after_one = ciede2000(srgb_to_lab(one.rgb[body] / 255.0), lab[body])
-    assert np.median(errors) < 1 and errors.mean() < 0.3 * after_one.mean(), (np.median(errors), errors.mean(), after_one.mean())
+    assert np.median(errors) < 1 and errors.mean() < 0.3 * after_one.mean()
 
 
 class TestPicturesOfAFolder:
