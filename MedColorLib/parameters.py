@@ -34,7 +34,7 @@ PLANES: tuple[str, ...] = get_args(PlaneName)
 
 @dataclass(frozen=True)
 class Preset:
-    """How deep to go.
+    """How deep to go. `stop_layer`, `context` and `components` concern VGG-19: MedColor's own features have one layer.
 
     Attributes:
         grid_px: side of the raster on which slices are matched.
