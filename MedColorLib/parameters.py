@@ -34,7 +34,7 @@ PLANES: tuple[str, ...] = get_args(PlaneName)
 
 @dataclass(frozen=True)
 class Preset:
-    """How deep to go.
+    """How deep to go. `stop_layer`, `context` and `components` concern VGG-19: MedColor's own features have one layer.
 
     Attributes:
         grid_px: side of the raster on which slices are matched.
@@ -280,10 +280,9 @@ def _number(value: Any) -> float | None:
 def _smoother_options(settings: Settings) -> dict | None:
     from .filters import smoother_parameters  # NumPy; not needed where the defaults do
 
-    options = settings.smoother_options
-    if not isinstance(options, Mapping) or not all(isinstance(name, str) for name in options):
-        raise SettingsError(f"smoother_options: expected names and values such as {{'lam': 16.0}}, got {options!r}")
-    checked = smoother_parameters(settings.resolved_smoother, dict(options))
+    options: Any = settings.smoother_options
+    options = dict(options) if isinstance(options, Mapping) else options  # what else it is, is refused with what there is
+    checked = smoother_parameters(settings.resolved_smoother, options)
     return {name: getattr(checked, name) for name in options} or None
 
 

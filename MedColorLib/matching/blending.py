@@ -14,8 +14,6 @@ import numpy as np
 
 from .confidence import Trust
 
-NEUTRAL_AGREEMENT = 0.6  # up to which a photograph's own relation of colour to luminance does not count
-
 
 @dataclass(frozen=True)
 class Neighbour:
@@ -68,15 +66,16 @@ def _mixed(lab, other_lab, trust: Trust | None, other: Trust | None, share: floa
     own_weight, other_weight = (1 - share) * trust.confidence, share * other.confidence
     confidence = own_weight + other_weight
     per_pixel = np.where(confidence > 0, other_weight / np.maximum(confidence, 1e-6), share)[..., None]
-    agreement = (1 - share) * _effective(trust) + share * _effective(other)
-    curves = [t.inverse_curve for t in (trust, other)]
-    curve = curves[0] if curves[1] is None else curves[1] if curves[0] is None else None
-    if curve is None and curves[0] is not None:
-        curve = (1 - share) * curves[0] + share * curves[1]
+    agreement = (1 - share) * trust.agreement + share * other.agreement
     lab = ((1 - per_pixel) * lab + per_pixel * other_lab).astype(lab.dtype)
-    return lab, Trust(confidence.astype(np.float32), agreement, curve)
+    return lab, Trust(confidence.astype(np.float32), agreement, *_relation(trust, other, share))
 
 
-def _effective(trust: Trust) -> float:
-    """Agreement; where there is no curve to use it with, at most what makes it count for nothing."""
-    return trust.agreement if trust.inverse_curve is not None else min(trust.agreement, NEUTRAL_AGREEMENT)
+def _relation(trust: Trust, other: Trust, share: float) -> tuple[np.ndarray | None, float]:
+    """Inverse curve and how far it is a function at all; a curve counts as far as it is one."""
+    weights = (1 - share) * trust.monotone, share * other.monotone
+    monotone = sum(weights)
+    if monotone == 0:
+        return trust.inverse_curve, 0.0
+    curves = [(w / monotone, t.inverse_curve) for w, t in zip(weights, (trust, other)) if w > 0]
+    return sum(w * curve for w, curve in curves), monotone

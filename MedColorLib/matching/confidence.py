@@ -30,7 +30,7 @@ class Trust:
         confidence: (H, W) float32 0..1 + LEAST_TRUST on the grid, 0 outside the body: `consistency` times `likeness`.
         agreement: correlation -1..1 of the slice's matched grey with the luminance of its matches, weighted by
             confidence: near 1 the photograph's own relation of colour to luminance holds for the slice.
-        inverse_curve: (256,) display grey of the scan at the photograph's grey, or None where there is no such function.
+        inverse_curve: (256,) display grey of the scan at the photograph's grey; None: not known, and not to be used.
         monotone: 0..1, how far that is a function at all; see `contrast.Contrast.monotone`.
     """
 

@@ -13,11 +13,11 @@ from pathlib import Path
 from ..parameters import Settings
 
 TABLE = Path(__file__).with_name("expected_error.json")
-# Smallest share of trusted matches (`confidence.Trust.trusted_fraction`) on 30 pairs: thorax, head, phantom, five remaps,
-# two warps. It gives no place in the range: its correlation with the error over these pairs is -0.83 with the embedded
-# features, but 0.08 with VGG-19, and real scans lie below them all (embedded, VGG-19: a CT head after a photograph of the
-# same head 0.54, 0.64; an MR head after another's 0.38, 0.41; the CT head after a thorax 0.19, 0.17).
-LEAST_TRUSTED = {"embedded": 0.55, "vgg19": 0.76}
+# Smallest share of trusted matches (`confidence.Trust.trusted_fraction`) on 30 pairs: thorax, head, phantom, five remaps, two
+# warps. It gives no place in the range: with VGG-19 its correlation with the error over these pairs is 0.08, and real scans lie
+# below them all (own features, VGG-19: slices of a CT head after a photograph of the same head 0.45, 0.64; of an MR head after
+# another's 0.28, 0.41; of the CT head after a thorax 0.24, 0.17).
+LEAST_TRUSTED = {"embedded": 0.81, "vgg19": 0.76}
 NOT_MEASURED = "not measured by the benchmark for these settings"
 
 

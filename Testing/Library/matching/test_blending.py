@@ -71,11 +71,27 @@ def test_a_share_of_nothing_or_all_is_one_of_the_two(rng, trust):
 
 def test_a_match_that_is_not_trusted_hardly_counts(rng):
     first, second = matches(rng, 1), matches(rng, 1)
-    poor = Trust(second[3][0].confidence * 0 + 1e-4 * second[1][0], 0.8, None)
+    poor = Trust(second[3][0].confidence * 0 + 1e-4 * second[1][0], 0.8, np.linspace(1, 0, 256), monotone=0.0)
     _, _, labs, trusts = blended(first, (*second[:3], [poor]), np.array([0.5]))
     inside = first[1][0]
     np.testing.assert_allclose(labs[0][inside], first[2][0][inside], atol=0.3)
-    assert 0.6 < trusts[0].agreement < 0.8 and trusts[0].inverse_curve is not None
+    np.testing.assert_array_equal(trusts[0].inverse_curve, first[3][0].inverse_curve)  # the other's is no function
+    assert trusts[0].own_relation_weight == pytest.approx(0.5 * first[3][0].own_relation_weight)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
+@pytest.mark.parametrize("monotone", [(1.0, 1.0), (0.2, 0.8), (1.0, 0.0), (0.0, 0.0)])
+def test_how_far_curves_are_functions_is_mixed_as_well(rng, share, monotone):
+    first, second = matches(rng, 1), matches(rng, 1)
+    curves = np.linspace(0, 1, 256), np.linspace(0.2, 0.6, 256)
+    trusts = [Trust(m[3][0].confidence, 0.8, c, w) for m, c, w in zip((first, second), curves, monotone)]
+    (mixed,) = blended((*first[:3], trusts[:1]), (*second[:3], trusts[1:]), np.array([share]))[3]
+    assert mixed.monotone == pytest.approx((1 - share) * monotone[0] + share * monotone[1])
+    weights = np.array([(1 - share) * monotone[0], share * monotone[1]])
+    if weights.sum() > 0:
+        np.testing.assert_allclose(mixed.inverse_curve, weights @ np.stack(curves) / weights.sum())
+    else:
+        assert mixed.own_relation_weight == 0
 
 
 def tinted_series(strength: float) -> list[np.ndarray]:

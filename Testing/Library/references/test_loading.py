@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import SimpleITK as sitk
 from PIL import Image
+from scipy.ndimage import binary_erosion
 
 from MedColorLib import ColorVolume, Settings, Volume, colorize, make_plan, read_color_volume, write_color_volume
 from MedColorLib.color.difference import ciede2000
@@ -174,12 +175,13 @@ def test_a_colour_volume_gives_its_own_luminance_its_colours_back(ct, colored):
     grey = Volume(
         np.rint(1000 * lightness_to_gray(lab[..., 0])).astype(np.int16), colored.ijk_to_ras, window=(0.0, 1000.0)
     )
-    settings = Settings(preset="draft", features="embedded", coherence_mm=0.0)
+    # as the volume is: its own lightness is given, and its colours are in the light that is meant
+    settings = Settings(preset="draft", features="embedded", coherence_mm=0.0, luminance="keep", exposure="off")
     result = colorize(grey, [colored], settings)
     assert result.report["references_assigned"] == "along the series"
     for k, name in result.report["reference_of_slice"].items():
         assert name == f"atlas slice {k}"
-    body = ct.labels > 0
+    body = binary_erosion(ct.labels > 0, np.ones((1, 7, 7)))  # its border fades, here for the second time: `coloring.rim`
     errors = ciede2000(srgb_to_lab(result.rgb[body] / 255.0), lab[body])
     one = colorize(grey, [np.pad(colored.rgb[3], ((4, 4), (4, 4), (0, 0)))], settings)
     after_one = ciede2000(srgb_to_lab(one.rgb[body] / 255.0), lab[body])

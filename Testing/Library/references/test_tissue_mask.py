@@ -202,7 +202,7 @@ class TestGiven:
 @pytest.mark.parametrize("photograph", ["vhf_head_cryosection.png", "vhf_thorax_cryosection.png"])
 def test_real_tissue_on_other_surroundings(photograph, name, shared_data):
     """The photograph's tissue, as it is found in its own blue gelatin, set on another background."""
-    from MedColorLib.references.photograph import read_picture
+    from MedColorLib.references.pictures import read_picture
 
     picture = read_picture(str(shared_data / photograph))
     scale = 400 / max(picture.shape)
