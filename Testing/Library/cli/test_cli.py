@@ -130,7 +130,11 @@ class TestColorize:
     def test_plan_is_printed_and_nothing_written(self, files, capsys):
         assert medcolor(*COLORIZE, "--plan") == 0
         text = capsys.readouterr().out
-        assert text.startswith("Plan\n") and "Left out\n" in text and "MedColor's own network (no download), one layer" in text
+        assert (
+            text.startswith("Plan\n")
+            and "Left out\n" in text
+            and "MedColor's own network (no download), one layer" in text
+        )
         assert not files()
 
 
