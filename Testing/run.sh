@@ -1,7 +1,8 @@
 #!/bin/sh
 # Set everything up and run the demo or the tests, on a fresh Debian 12 (or any machine with Python 3.10 or later).
-#   sh Testing/run.sh demo   colour and render the built-in sample: results in ./demo
-#   sh Testing/run.sh test   all tests, fast and slow
+#   sh Testing/run.sh demo                   colour and render the built-in sample: results in ./demo
+#   sh Testing/run.sh test                   all tests, fast and slow
+#   sh Testing/run.sh test -m 'not slow'     the fast ones; what follows `test` is pytest's
 set -eu
 cd "$(dirname "$0")/.."
 task=${1:-}
@@ -9,6 +10,8 @@ case "$task" in
   demo|test) shift ;;
   *) echo "usage: sh Testing/run.sh demo|test [pytest arguments]" >&2; exit 2 ;;
 esac
+
+say() { echo "==> $*"; }
 
 # System packages: OpenGL without a display (Mesa), and what Qt needs to draw offscreen in the panel tests.
 packages="libegl1 libgl1 libgl1-mesa-dri"
@@ -21,23 +24,41 @@ if command -v dpkg-query >/dev/null 2>&1; then
   python3 -c "import ensurepip, venv" 2>/dev/null || missing="$missing python3-venv"
   if [ -n "$missing" ]; then
     if [ "$(id -u)" = 0 ]; then
+      say "Installing system packages:$missing (half a minute)"
       apt-get update -qq
       # shellcheck disable=SC2086
       DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends $missing >/dev/null
     else
-      echo "These system packages are missing; ask an administrator for: apt-get install$missing" >&2
+      say "These system packages are missing; ask an administrator for: apt-get install$missing" >&2
     fi
   fi
 fi
 
+# The first time pip tells on a terminal what it is doing; later there is little to do, and it is silent.
 python=.venv/bin/python
+mark=.venv/set-up-for-$task
+quiet=--quiet
+if [ -f "$mark" ]; then
+  say "Python packages: looking whether .venv is up to date (seconds)"
+else
+  say "Installing Python packages in .venv: 3 GB on disk, PyTorch the most of it; minutes, by the speed of the network"
+  if [ -t 1 ]; then quiet=; fi
+fi
 [ -x "$python" ] || python3 -m venv .venv
-"$python" -m pip install --quiet --disable-pip-version-check torch -c Testing/constraints.txt
+install() {
+  # shellcheck disable=SC2086
+  "$python" -m pip install $quiet --disable-pip-version-check -c Testing/constraints.txt "$@"
+}
+install torch
 if [ "$task" = demo ]; then
-  "$python" -m pip install --quiet --disable-pip-version-check --editable . -c Testing/constraints.txt
+  install --editable .
+  touch "$mark"
+  say "Colouring and rendering a head made by formula (under a minute)"
   exec .venv/bin/medcolor demo -o demo
 fi
-"$python" -m pip install --quiet --disable-pip-version-check --editable '.[test]' -c Testing/constraints.txt
+install --editable '.[test]'
+touch "$mark"
 export QT_QPA_PLATFORM=offscreen
+say "Lint, then all tests, the slow ones, too; the fast ones alone: sh Testing/run.sh test -m 'not slow'"
 "$python" -m ruff check MedColor MedColorLib Testing
 exec "$python" -m pytest -m '' "$@"

@@ -7,6 +7,10 @@ from pathlib import Path
 from ..errors import OutputError
 
 FILES = ("reference.png", "colored.nrrd", "report.json", "picture.png")
+WHAT_TO_SEE = (
+    "open picture.png: the scan in grey, and beside it in the colours of the photograph reference.png (both made by formula). "
+    "colored.nrrd is the volume, for 3D Slicer; report.json says what was done"
+)
 
 
 def run_demo(folder: str | Path, progress=None) -> list[Path]:
@@ -35,11 +39,11 @@ def run_demo(folder: str | Path, progress=None) -> list[Path]:
     volume, reference = sample()
     paths = [folder / name for name in FILES]
     write_png(paths[0], reference)
-    scaled = (lambda fraction, text: progress(0.7 * fraction, text)) if progress else None
-    result = colorize(volume, [reference], Settings(features="embedded"), progress=scaled)
+    progress = progress or (lambda _fraction, _text: None)
+    result = colorize(
+        volume, [reference], Settings(features="embedded"), progress=lambda f, text: progress(0.7 * f, text)
+    )
     write_color_volume(result, paths[1])
     write_report(result.report, paths[2])
-    if progress:
-        progress(0.75, "rendering")
-    render_to_png(paths[3], result, volume)
+    render_to_png(paths[3], result, volume, progress=lambda f, text: progress(0.7 + 0.3 * f, text))
     return paths

@@ -324,7 +324,7 @@ def _weights_fetch(arguments) -> None:
 
 
 def _demo(arguments) -> None:
-    from .demo import FILES, run_demo
+    from .demo import FILES, WHAT_TO_SEE, run_demo
 
     former = set(existing(arguments.output / name for name in FILES))
     with _Bar("demo") as bar:
@@ -332,6 +332,7 @@ def _demo(arguments) -> None:
     _tell_replaced(path for path in written if path in former)
     for path in written:
         say(path)
+    tell(WHAT_TO_SEE)
 
 
 def _bench(arguments) -> None:

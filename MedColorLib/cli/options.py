@@ -211,7 +211,10 @@ def _add_render(commands) -> None:
     command.add_argument("--opacity", type=float, metavar="X", help="0 to 1: bone alone, muscle, skin (default: 0.9)")
     command.add_argument("--light", choices=("plain", "realistic"), default="plain", help="realistic: with shadows")
     command.add_argument(
-        "--turntable", type=path_name, metavar="OUT", help="the body turns once around: .mp4, .gif, or a folder of pictures"
+        "--turntable",
+        type=path_name,
+        metavar="OUT",
+        help="the body turns once around: .mp4, .gif, or a folder of pictures",
     )
     command.set_defaults(run="render")
 

@@ -96,6 +96,26 @@ def test_metadata_urls_name_files_of_the_repository(built):
     assert not missing
 
 
+def test_rules_of_the_extensions_index():
+    """What the index's own checker greps, and what its reviewers ask of a description, JSON and README."""
+    text = (REPOSITORY / "CMakeLists.txt").read_text(encoding="utf-8")
+    for name in ("ICONURL", "SCREENSHOTURLS"):  # one quoted string in one set()
+        assert len(re.findall(rf'set\(EXTENSION_{name} "[^"$]+"\)', text)) == 1 == text.count(f"EXTENSION_{name} "), (
+            name
+        )
+    (description,) = re.findall(r'set\(EXTENSION_DESCRIPTION "(.*)"\)', text)
+    assert 1 <= len(re.findall(r"\.(?: |$)", description)) <= 2
+    licence = text.index("EXTENSION_LICENSE_FILE"), text.index("EXTENSION_README_FILE")
+    assert max(licence) < text.index("include(${Slicer_USE_FILE})"), "else Slicer's own licence is packaged"
+    raw = (REPOSITORY / "Resources" / "MedColor.json").read_bytes()
+    assert b"\r" not in raw and raw.endswith(b"\n")
+    entry = json.loads(raw)
+    assert re.search(r"catalog-entry-schema-v1\.0\.[12]\.json", entry["$schema"]) and entry["scm_url"].endswith(".git")
+    readme = (REPOSITORY / "README.md").read_text(encoding="utf-8")
+    assert readme.startswith("# MedColor") and "Apache-2.0" in readme and "Devkota" in readme
+    assert re.search(r"!\[.*\]\(Resources/Screenshots/", readme)
+
+
 def test_icon_has_the_size_the_index_asks_for():
     for icon in (REPOSITORY / "Resources/Icons/MedColor.png", REPOSITORY / "MedColor/Resources/Icons/MedColor.png"):
         header = icon.read_bytes()[:24]

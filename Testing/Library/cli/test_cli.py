@@ -130,7 +130,11 @@ class TestColorize:
     def test_plan_is_printed_and_nothing_written(self, files, capsys):
         assert medcolor(*COLORIZE, "--plan") == 0
         text = capsys.readouterr().out
-        assert text.startswith("Plan\n") and "Left out\n" in text and "MedColor's own network (no download), one layer" in text
+        assert (
+            text.startswith("Plan\n")
+            and "Left out\n" in text
+            and "MedColor's own network (no download), one layer" in text
+        )
         assert not files()
 
 
@@ -221,8 +225,10 @@ class TestDemo:
         small = partial(rendering.render_to_png, size=(480, 360))
         monkeypatch.setattr(rendering, "render_to_png", small)
         assert medcolor("demo", "-o", tmp_path / "new" / "demo") == 0
-        written = [Path(line).name for line in capsys.readouterr().out.splitlines()]
+        said = capsys.readouterr()
+        written = [Path(line).name for line in said.out.splitlines()]
         assert sorted(written) == sorted(p.name for p in (tmp_path / "new" / "demo").iterdir())
+        assert all(name in said.err for name in written)  # what to see in which
         assert {"reference.png", "colored.nrrd", "report.json", "picture.png"} <= set(written)
         assert read_color_volume(tmp_path / "new" / "demo" / "colored.nrrd").rgb.any()
 

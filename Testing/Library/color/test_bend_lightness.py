@@ -27,7 +27,9 @@ def test_greys_and_dark_colours_stay():
 
 def test_chroma_of_lights_is_kept():
     """Cream and flesh at L* 95 to 100, where clipping or drawing in would make them white."""
-    lights = np.array([[light, a, b] for light in (95.0, 98.0, 100.0) for a, b in ((5, 25), (15, 20), (0, 35), (20, 10))])
+    lights = np.array(
+        [[light, a, b] for light in (95.0, 98.0, 100.0) for a, b in ((5, 25), (15, 20), (0, 35), (20, 10))]
+    )
     assert outside(lights).all()
     bent, count = bend_lightness(lights)
     assert count == len(lights)

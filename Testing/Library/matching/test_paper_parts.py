@@ -54,7 +54,13 @@ def test_the_papers_numbers():
     assert analogy.SEARCH_RADIUS == {4: 6, 3: 6, 2: 4, 1: 4}
     assert analogy.BLEND_ALPHA == {4: 0.8, 3: 0.7, 2: 0.6, 1: 0.1}
     full = PRESETS["full"]
-    assert (full.stop_layer, full.smoother, full.context, full.weighted, full.components) == (1, "fgs", False, False, None)
+    assert (full.stop_layer, full.smoother, full.context, full.weighted, full.components) == (
+        1,
+        "fgs",
+        False,
+        False,
+        None,
+    )
     paper = Settings(preset="full", luminance="paper")
     assert paper.resolved_gamma and paper.resolved_smoother == "fgs"
 
