@@ -281,7 +281,9 @@ def _smoother_options(settings: Settings) -> dict | None:
     from .filters import smoother_parameters  # NumPy; not needed where the defaults do
 
     options: Any = settings.smoother_options
-    options = dict(options) if isinstance(options, Mapping) else options  # what else it is, is refused with what there is
+    options = (
+        dict(options) if isinstance(options, Mapping) else options
+    )  # what else it is, is refused with what there is
     checked = smoother_parameters(settings.resolved_smoother, options)
     return {name: getattr(checked, name) for name in options} or None
 

@@ -187,6 +187,17 @@ class TestReadme:
         assert names["colored"].rgb.any() and Path("colored.nrrd").is_file()
 
 
+@pytest.mark.parametrize("page", [ROOT / "README.md", DOCUMENTATION / "tutorial.md"], ids=relative)
+def test_buttons_are_called_as_in_the_panel(page):
+    module = ROOT / "MedColor"
+    panel = "".join(path.read_text(encoding="utf-8") for path in [*module.rglob("*.ui"), *module.rglob("*.py")])
+    clicks = page.read_text(encoding="utf-8").partition("From a shell" if page.name == "README.md" else "## A chest")[0]
+    named = set(re.findall(r"(?<!^)\*\*([A-Z][\w -]+?)\*\*", clicks.partition("Slicer\n")[2]))
+    named -= {"Five clicks", "Install", "MedColor"}
+    assert {"Preview slice", "Compare with grey"} <= named
+    assert not [name for name in named if name not in panel]
+
+
 def test_the_page_of_options_is_what_the_parser_says():
     assert (DOCUMENTATION / "options.md").read_text(encoding="utf-8") == options_page(), (
         "run: python -m MedColorLib.cli.options_page Resources/Documentation/options.md"

@@ -181,7 +181,9 @@ def test_a_colour_volume_gives_its_own_luminance_its_colours_back(ct, colored):
     assert result.report["references_assigned"] == "along the series"
     for k, name in result.report["reference_of_slice"].items():
         assert name == f"atlas slice {k}"
-    body = binary_erosion(ct.labels > 0, np.ones((1, 7, 7)))  # its border fades, here for the second time: `coloring.rim`
+    body = binary_erosion(
+        ct.labels > 0, np.ones((1, 7, 7))
+    )  # its border fades, here for the second time: `coloring.rim`
     errors = ciede2000(srgb_to_lab(result.rgb[body] / 255.0), lab[body])
     one = colorize(grey, [np.pad(colored.rgb[3], ((4, 4), (4, 4), (0, 0)))], settings)
     after_one = ciede2000(srgb_to_lab(one.rgb[body] / 255.0), lab[body])
