@@ -75,8 +75,11 @@ class Method:
         return ", ".join(parts)
 
     def settings(self, **changes) -> Settings:
-        """Settings for one slice; the target's display grey is 0..1 unless `window` is given."""
-        options = {"window": (0.0, 1.0), "features": self.features, "reconstruction": self.reconstruction, **changes}
+        """Settings for one slice; the target's display grey is 0..1 unless `window` is given.
+
+        The truth of a pair is the photograph as it is: no exposure.
+        """
+        options = {"window": (0.0, 1.0), "exposure": "off", "features": self.features, "reconstruction": self.reconstruction, **changes}
         return Settings(preset=self.preset, **options)
 
 
