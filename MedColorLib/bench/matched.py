@@ -79,7 +79,13 @@ class Method:
 
         The truth of a pair is the photograph as it is: no exposure.
         """
-        options = {"window": (0.0, 1.0), "exposure": "off", "features": self.features, "reconstruction": self.reconstruction, **changes}
+        options = {
+            "window": (0.0, 1.0),
+            "exposure": "off",
+            "features": self.features,
+            "reconstruction": self.reconstruction,
+            **changes,
+        }
         return Settings(preset=self.preset, **options)
 
 

@@ -31,6 +31,7 @@ class GuidedParameters:
 
 
 _SINGLE_EPS = 6e-5  # of the largest squared centred guide from which float32 is enough: eps = 1 for 8 bits
+_LEAST_EPS = 1e-30  # float32 has no square of a window's size times less than that
 _SINGLE_SOURCE = 1e20  # largest magnitude whose products stay inside float32
 
 
@@ -93,7 +94,9 @@ def guided_filter(source: np.ndarray, guide: np.ndarray, radius: int = 16, eps: 
     centred -= centred.dtype.type(round(cv2.mean(centred)[0]))  # whole numbers stay whole
     largest = max(-float(centred.min()), float(centred.max()))
     small = all(max(-float(plane.min()), float(plane.max())) < _SINGLE_SOURCE for plane in planes)
-    if planes[0].dtype == np.float32 and (parameters.eps < _SINGLE_EPS * largest**2 or not small or largest > 1e6):
+    if planes[0].dtype == np.float32 and (
+        parameters.eps < max(_SINGLE_EPS * largest**2, _LEAST_EPS) or not small or largest > 1e6
+    ):
         planes, centred = [plane.astype(np.float64) for plane in planes], centred.astype(np.float64)
     result = _filtered(planes, centred, min(parameters.radius, max(centred.shape)), parameters.eps)
     return merged(result, source).astype(output_dtype(source), copy=False)

@@ -53,7 +53,7 @@ def test_realistic_light_is_as_bright_and_comes_from_one_side(gl, ball):
 
 def test_realistic_light_without_shadows_in_old_versions(gl, ball, monkeypatch, caplog):
     monkeypatch.setattr(lights, "has_shadows", lambda mapper: False)
-    caplog.set_level("INFO", "MedColor")
+    caplog.set_level("INFO", "MedColorLib")
     picture = render_view(ball, size=SMALL, opacity=SOLID, light="realistic")
     assert picture.max() > 100
     assert "no shadows" in caplog.text
