@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from ..device import one_thread
 from ..errors import InputError, SettingsError, WeightsError
 from . import OWN_WEIGHTS, own_weights_sha256
 
@@ -63,10 +65,18 @@ class Contrast:
         """(N, 1, H, W) -> (N, 32, H / 4, W / 4); see the function `extract`."""
         _check(luminance)
         luminance = luminance.to(self.device, torch.float32)
+        if self.device.type == "cpu":
+            return self._one_by_one(luminance)
+        return self._through(luminance)
+
+    def _through(self, luminance: Tensor) -> Tensor:
         with torch.no_grad():
-            if self.device.type == "cpu":  # one by one: the same bits whatever else is in the batch
-                return torch.cat([self._network(picture[None], self.context) for picture in luminance])
             return self._network(luminance, self.context)
+
+    def _one_by_one(self, luminance: Tensor) -> Tensor:
+        """Pictures side by side, each on one thread: the same bits whatever else is in the batch and however many threads."""
+        with ThreadPoolExecutor(torch.get_num_threads(), "MedColor features") as pool, one_thread():
+            return torch.cat(list(pool.map(self._through, luminance[:, None].unbind())))
 
     def descriptor(self, luminance: Tensor) -> Tensor:
         """(N, 1, H, W) -> (N, 2048): the features on an 8 x 8 raster of the slice, unit length."""
