@@ -128,7 +128,8 @@ def _smoothing(suite: Suite) -> bytes:
         for number, method in enumerate(
             ("guided", "domain-transform", "wls", "regression"), start=len(IMPLEMENTATIONS)
         ):
-            for row in table.where(scene=scene, method=method):
+            measured = [row for row in table.where(scene=scene, method=method) if row["rms_to_wls"] is not None]
+            for row in measured:
                 axis.plot(row["seconds"], row["rms_to_wls"], MARKERS[number], color=COLORS[number], label=method)
         exact = table.where(scene=scene, method="exact WLS")[0]
         axis.axvline(exact["seconds"], color="0.4", linestyle="--", linewidth=1, label="exact WLS, sparse direct")

@@ -18,7 +18,7 @@ import numpy as np
 INSIDE, OUTSIDE = 2, 3  # voxels that take part on either side of the border
 _FADE = (1.0, 0.8, 0.45)  # most of the ramp that is left in the first, second, third voxel outside
 _FULLEST = 1.5  # a voxel may hold more than the mean around it
-_SLAB_VOXELS = 4_000_000  # done together, about 30 bytes each
+_SLAB_VOXELS = 600_000  # done together, about 30 bytes each
 _THICK = 2.0  # slices so many times farther apart than pixels are no neighbours
 
 
