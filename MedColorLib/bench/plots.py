@@ -128,7 +128,11 @@ def _smoothing(suite: Suite) -> bytes:
         for number, method in enumerate(
             ("guided", "domain-transform", "wls", "regression"), start=len(IMPLEMENTATIONS)
         ):
-            measured = [row for row in table.where(scene=scene, method=method) if row["rms_to_wls"] is not None]
+            measured = [
+                row
+                for row in table.where(scene=scene, method=method)
+                if None not in (row["seconds"], row["rms_to_wls"])
+            ]
             for row in measured:
                 axis.plot(row["seconds"], row["rms_to_wls"], MARKERS[number], color=COLORS[number], label=method)
         exact = table.where(scene=scene, method="exact WLS")[0]
