@@ -14,11 +14,11 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from ..cohort.terminal import plain, prepare_streams, say, tell
 from ..device import is_out_of_memory
 from ..errors import Cancelled, MedColorError
 from ..output import check_output_path
 from ..parameters import Settings
-from ..terminal import plain, prepare_streams, say, tell
 from .guard_options import guard_of
 from .options import make_parser
 from .stopping import Stopped, stoppable

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import NoReturn
 
 from .. import __version__
+from ..cohort.terminal import plain
 from ..parameters import FEATURES, LUMINANCE, PRESETS, RECONSTRUCTIONS, SMOOTHERS, Settings
-from ..terminal import plain
 from .guard_options import add_guard
 from .pictures import SIDES
 from .values import at_least, exposure, file_name, named_value, path_name, slice_range

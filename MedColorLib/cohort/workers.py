@@ -21,7 +21,7 @@ from concurrent.futures.process import BrokenProcessPool
 from typing import Any
 
 from ..errors import DeviceError, MedColorError, MissingPackageError
-from ..terminal import log_to_stderr
+from .terminal import log_to_stderr
 
 log = logging.getLogger("MedColorLib")
 

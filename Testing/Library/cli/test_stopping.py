@@ -19,11 +19,11 @@ from volume_samples import save_nrrd
 from MedColorLib import read_color_volume
 from MedColorLib.cli.main import main
 from MedColorLib.cli.stopping import Stopped, stoppable
+from MedColorLib.cohort.terminal import plain
 from MedColorLib.errors import OutputError
 from MedColorLib.matching import vote
 from MedColorLib.output import atomic_output, check_output_path
 from MedColorLib.report import write_report
-from MedColorLib.terminal import plain
 
 pytestmark = pytest.mark.usefixtures("small_raster")
 ROOT = Path(__file__).resolve().parents[3]
