@@ -12,7 +12,6 @@ import torch
 from torch.utils.flop_counter import FlopCounterMode
 
 from MedColorLib.bench import (
-    deconvolution,
     real_volumes,
     run,
     schema,
@@ -203,18 +202,6 @@ class TestSideBySide:
         suite_sidebyside._measure_filter(suite, wrong, phantom, 0)
         assert suite.tables["sidebyside"].where()[0]["seconds"] is None
         assert "differs from OpenCV's" in suite.failures[0][1]
-
-
-@pytest.mark.slow
-def test_deconvolution_lowers_its_loss(phantom, shared_weights, monkeypatch):
-    monkeypatch.setenv("MEDCOLOR_WEIGHTS", str(shared_weights))
-    table = Table(deconvolution.COLUMNS)
-    for iterations in (0, 8):
-        deconvolution.add_row(table, phantom, "as it is", iterations, 0, stop_layer=4)
-    warped, solved = table.where()
-    assert warped["loss_before"] is None and (warped["of"], solved["of"]) == (0, 2)
-    assert solved["loss_after"] < 0.8 * solved["loss_before"] and solved["evaluations"] >= 18
-    assert solved["mean_matched"] != warped["mean_matched"] and solved["mean_matched"] < 1.5 * warped["mean_matched"]
 
 
 class TestScaling:
