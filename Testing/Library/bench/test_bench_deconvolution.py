@@ -1,4 +1,4 @@
-"""Benchmark: what a deconvolution does to matches. A file of its own: a smaller raster, which other files ask for, lasts for a file."""
+"""Benchmark: what a deconvolution does to matches. A file of its own: the smaller raster of other files lasts for a file."""
 
 from __future__ import annotations
 
