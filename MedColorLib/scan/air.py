@@ -36,6 +36,7 @@ class Air:
         lung: dark regions at the border whose median is above it are no air; None: all are.
         plates: whether a table, a holder or sheets may be in the picture.
         text: for people.
+        dim: air is the noise of magnitudes, and ghosts of it are below this; None: it is not.
     """
 
     scale: Scale
@@ -46,6 +47,7 @@ class Air:
     lung: float | None
     plates: bool
     text: str
+    dim: float | None = None
 
     @property
     def is_absent(self) -> bool:
@@ -106,7 +108,10 @@ def find_air(array: np.ndarray, pixel_mm: tuple[float, float] = (1.0, 1.0)) -> A
     if found is None and points.void_share >= 0.01:
         tissue = float(np.percentile(points.grey, 75)) - void if points.grey.size else 1.0
         found = _Cluster(void, void + 0.02 * tissue, tissue, False)
-    return _no_air(scale) if found is None else _as_air(scale, found, points, sample, lowest)
+    if found is None:
+        return _no_air(scale)
+    air = _as_air(scale, found, points, sample, lowest)
+    return replace(air, dim=air.edge) if sample.min() >= 0 and not air.plates else air
 
 
 def _no_air(scale: Scale) -> Air:

@@ -8,6 +8,7 @@ import numpy as np
 
 from ..errors import InputError
 from .air import Air, find_air
+from .ghosts import take_ghosts
 from .parts import BODY, CLEAR, PLATE, TISSUE, filled, mark_body, mark_plates, without_mottle
 from .reduced import raster, reduced, resized
 
@@ -121,6 +122,7 @@ def find_body(array: np.ndarray, pixel_mm: tuple[float, float] = (1.0, 1.0)) -> 
     """
     air = find_air(array, pixel_mm)
     flags = _flags(array, air, raster(array.shape, pixel_mm, _WORK_SIDE))
+    ghosts = take_ghosts(flags, array, air)
     if air.is_absent:
         for plane in flags:
             plane[(plane & TISSUE) > 0] |= BODY
@@ -136,7 +138,8 @@ def find_body(array: np.ndarray, pixel_mm: tuple[float, float] = (1.0, 1.0)) -> 
         raise InputError(
             "body: nothing stands out of the background; check the volume, or take all of it as body (--body all)"
         )
-    return Body(coarse, array.shape, air.edge, _boxes(coarse, array.shape), air.text, _left_outside(flags))
+    text = air.text + (f"; ghosts beside the body, {100 * ghosts:.1f} % of what is brighter, are air" if ghosts else "")
+    return Body(coarse, array.shape, air.edge, _boxes(coarse, array.shape), text, _left_outside(flags))
 
 
 def whole_body(shape: tuple[int, int, int]) -> Body:
