@@ -296,6 +296,7 @@ def _report(prepared: Prepared, engine: Engine, run: Run, painter: Painter) -> d
         },
         "contrast": {engine.references[i].name: engine.references[i].contrast.describe() for i in used},
         "settings": _reported_settings(prepared.settings),
+        "smoother_options": engine.smoother_options,
         "plan": _told(prepared.plan, engine.reference_warnings).to_dict(),
         "searched": {str(k): v for k, v in engine.searched.items()},
         "deconvolution": engine.reconstruct.report() if engine.reconstruct else None,

@@ -177,7 +177,10 @@ class Matched:
 
     def colored(self, how: Transfer) -> np.ndarray:
         """L* a* b* (rows, cols, 3) of the whole slice before they are drawn into the gamut; 0 outside the body."""
-        parameters = TransferParameters(how.smoother, how.luminance, how.gamma, self._guide_curve(how.smoother))
+        options = self.engine.smoother_options if how.smoother == self.prepared.plan.smoother else None
+        parameters = TransferParameters(
+            how.smoother, how.luminance, how.gamma, self._guide_curve(how.smoother), options
+        )
         grey, cover = self.engine.slice_in_box(self._k)
         trust = self._trusts[0] if self._weighs(how) else None
         match = SliceMatch(self.lab, self._greys[0], self._masks[0], trust)

@@ -52,7 +52,7 @@ class ReferenceOnGrid:
         if groups is not None:
             self.lab, self.groups = colors_on_grid(groups, reference, grid, self.mask)
         self.lie: Lie | None = None
-        self.contrast = self.usual = None
+        self.contrast = self.usual = self.support_px = None
 
     @property
     def way(self) -> str:
@@ -163,6 +163,7 @@ class Engine:
         with run.timed("contrast"):
             for index in sorted(set(self.choice.values())):
                 self._learn_contrast(index)
+        self.smoother_options = self._smoother_options()
 
     def slice_on_grid(self, k: int) -> tuple[np.ndarray, np.ndarray]:
         """Display grey and body mask (H, W) of slice k on the grid."""
@@ -425,7 +426,7 @@ class Engine:
     def _learn_from_own_matches(self, index: int, greys: np.ndarray, masks: np.ndarray) -> None:
         """What grey means, and its usual colours, from matches of slices (S, H, W); one at a time, for the memory's sake."""
         from ..matching.contrast import seen_contrast, seen_luminance
-        from ..matching.usual import usual_colors
+        from ..matching.usual import support_px, usual_colors
         from ..matching.vote import matched_colors
 
         reference = self.references[index]
@@ -437,6 +438,17 @@ class Engine:
         ]
         reference.contrast = seen_contrast(greys, masks, seen)
         reference.usual = usual_colors(greys[masks], np.concatenate(colors)[masks])
+        reference.support_px = support_px(greys[masks], reference.contrast.trust)
+
+    def _smoother_options(self) -> dict | None:
+        """The settings' options, and for the regression the support that the scan asks for."""
+        options, used = self.settings.smoother_options or {}, sorted(set(self.choice.values()))
+        needed = [s for s in (self.references[i].support_px for i in used) if s is not None]
+        if self.prepared.plan.smoother != "regression" or "support_px" in options or not needed:
+            return self.settings.smoother_options
+        support = round(float(np.mean(needed)), 1)
+        log.info("neighbourhoods of the regression need %g px of evidence", support)
+        return {**options, "support_px": support}
 
     def _choose_references(self) -> dict[int, int]:
         """Slice -> index of its reference: the only one, or by likeness (cosine of descriptors) and order."""

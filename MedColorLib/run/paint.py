@@ -85,7 +85,7 @@ class Painter:
         self.saturation: dict[int, float] = {}
         self._engine, self._stack, self._confidence, self._boxes = engine, stack, confidence, prepared.body.boxes
         self._weighs = settings.weighs_matches
-        options = settings.smoother_options
+        options = engine.smoother_options
         self._parameters = TransferParameters(
             plan.smoother, settings.luminance, settings.resolved_gamma, engine.guide_curve, options, settings.lightness
         )

@@ -160,7 +160,14 @@ def _smoother_values(settings: Settings) -> str:
     from ..filters import smoother_parameters
     from ..filters.options import values_text
 
-    return values_text(smoother_parameters(settings.resolved_smoother, settings.smoother_options))
+    parameters, options = (
+        smoother_parameters(settings.resolved_smoother, settings.smoother_options),
+        settings.smoother_options,
+    )
+    text = values_text(parameters)
+    if settings.resolved_smoother == "regression" and "support_px" not in (options or {}):
+        text = text.replace("support_px 4,", "support_px 4 or, where the matches ask for it, up to 64,")
+    return text
 
 
 def _blending(references: Sequence[Reference], count: int) -> dict[str, str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from MedColorLib.matching.usual import grey_tells_tissue, usual_colors
+from MedColorLib.matching.usual import FEW_PX, MANY_PX, grey_tells_tissue, support_px, usual_colors
 
 RNG = np.random.default_rng(0)
 BRAIN, ORBIT = np.array([55.0, 15.0, 25.0]), np.array([25.0, 1.0, 3.0])
@@ -49,3 +49,9 @@ def test_it_is_soft_between():
         shares.append(grey_tells_tissue(grey))
     assert shares[0] == pytest.approx(1, abs=0.2) and shares[-1] == 0
     assert (np.diff(shares) <= 0).all() and len({round(s, 2) for s in shares}) > 2
+
+
+def test_neighbourhoods_need_much_evidence_where_grey_tells_tissue_and_matches_do_not_tell_grey():
+    spread, one = RNG.random(5000), np.full(5000, 0.5)
+    assert support_px(spread, 0.0) == MANY_PX
+    assert support_px(spread, 1.0) == support_px(one, 0.0) == FEW_PX
