@@ -33,7 +33,7 @@ class RegressionParameters:
     """
 
     cell_px: float = options.number(8.0, 1, 1e6, "Side of the finest neighbourhoods on the matching raster.", "px")
-    bins: int = options.count(32, 2, 1024, "Levels of grey told apart.")
+    bins: int = options.count(64, 2, 1024, "Levels of grey told apart.")
     support_px: float = options.number(
         4.0,
         0,

@@ -67,7 +67,7 @@ def support_px(grey: np.ndarray, contrast_trust: float) -> float:
 
     MANY_PX where grey tells tissue but the matches show no relation of grey to colour, as for MR of brains: what single
     neighbourhoods say then is chance, and hue would follow place. Front against back of two brains at equal L*, CIEDE2000:
-    3.6 and 5.6 with FEW_PX, 2.1 and 3.7 with MANY_PX.
+    3.4 and 5.5 with FEW_PX, 1.8 and 3.1 with MANY_PX.
 
     Args:
         grey: (n,) display grey 0..1 inside the body. contrast_trust: `contrast.Contrast.trust`.
