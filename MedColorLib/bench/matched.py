@@ -177,7 +177,8 @@ class Matched:
 
     def colored(self, how: Transfer) -> np.ndarray:
         """L* a* b* (rows, cols, 3) of the whole slice before they are drawn into the gamut; 0 outside the body."""
-        parameters = TransferParameters(how.smoother, how.luminance, how.gamma, self._guide_curve(how.smoother))
+        curve, one_tissue = self._guide_curve(how.smoother), self.engine.one_tissue
+        parameters = TransferParameters(how.smoother, how.luminance, how.gamma, curve, one_tissue=one_tissue)
         grey, cover = self.engine.slice_in_box(self._k)
         trust = self._trusts[0] if self._weighs(how) else None
         match = SliceMatch(self.lab, self._greys[0], self._masks[0], trust)
