@@ -177,9 +177,10 @@ class Matched:
 
     def colored(self, how: Transfer) -> np.ndarray:
         """L* a* b* (rows, cols, 3) of the whole slice before they are drawn into the gamut; 0 outside the body."""
-        options = self.engine.smoother_options if how.smoother == self.prepared.plan.smoother else None
+        curve, engine = self._guide_curve(how.smoother), self.engine
+        options = engine.smoother_options if how.smoother == self.prepared.plan.smoother else None
         parameters = TransferParameters(
-            how.smoother, how.luminance, how.gamma, self._guide_curve(how.smoother), options
+            how.smoother, how.luminance, how.gamma, curve, options, one_tissue=engine.one_tissue
         )
         grey, cover = self.engine.slice_in_box(self._k)
         trust = self._trusts[0] if self._weighs(how) else None

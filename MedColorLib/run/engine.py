@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..features import CONTEXT_WEIGHTS, unit_descriptors
+from ..features import CONTEXT_WEIGHTS, OWN_CONTEXT, unit_descriptors
 from ..features.components import PROJECTED_LAYERS, kept_energy, principal_components, project
 from ..features.kept import reference_features
 from ..matching.assignment import assign
@@ -146,7 +146,9 @@ class Engine:
         self.components = self.settings.components
         self.own_features = prepared.plan.features == "embedded"
         self.layers = (OWN_LAYER,) if self.own_features else tuple(range(5, self.stop_layer - 1, -1))
-        self.extractor = make_extractor(prepared.plan.features, self.device)
+        self.grey_tells = self._grey_tells()
+        context = OWN_CONTEXT * (1 - self.grey_tells)
+        self.extractor = make_extractor(prepared.plan.features, self.device, context)
         self.reconstruct = make_reconstruction(self.settings.reconstruction, self.extractor)
         pictures = prepared.groups.pictures if prepared.groups else (None,) * len(prepared.references)
         self.references = [ReferenceOnGrid(r, self.grid, own) for r, own in zip(prepared.references, pictures)]
@@ -394,6 +396,18 @@ class Engine:
         """The slices to be coloured and the body's others within NEAR_MM: more levels, so that one is like the photograph."""
         chosen, reach = self.prepared.plan.slices, round(NEAR_MM / self.prepared.slice_spacing_mm)
         return [int(k) for k in self.prepared.body.slices if chosen[0] - reach <= k <= chosen[-1] + reach]
+
+    def _grey_tells(self) -> float:
+        """0..1, how far grey tells tissue in this scan, whichever slices are asked for; see `usual.grey_tells_tissue`."""
+        from ..matching.usual import grey_tells_tissue
+
+        greys, masks = self.slices_on_grid(sample_slices([int(k) for k in self.prepared.body.slices]))
+        return grey_tells_tissue(greys[masks])
+
+    @property
+    def one_tissue(self) -> float:
+        """How far a grey is taken for one tissue all over a slice; measured for the own features alone."""
+        return self.grey_tells**2 if self.own_features else 0.0
 
     def _spread_guide(self) -> np.ndarray:
         boxes = [self.slice_in_box(k) for k in sample_slices(self.prepared.plan.slices)]

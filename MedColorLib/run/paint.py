@@ -87,7 +87,13 @@ class Painter:
         self._weighs = settings.weighs_matches
         options = engine.smoother_options
         self._parameters = TransferParameters(
-            plan.smoother, settings.luminance, settings.resolved_gamma, engine.guide_curve, options, settings.lightness
+            plan.smoother,
+            settings.luminance,
+            settings.resolved_gamma,
+            engine.guide_curve,
+            options,
+            settings.lightness,
+            engine.one_tissue,
         )
         spacing, sigma = prepared.slice_spacing_mm, settings.coherence_mm
         self._groups = prepared.groups
