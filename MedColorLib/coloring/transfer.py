@@ -194,9 +194,9 @@ def combine(
 ) -> np.ndarray:
     """X + S(w (T' - X)) / S(w) at full resolution: (rows, cols, 3) L* a* b* float64, 0 outside the mask.
 
-    Beside the regression the remainder counts as far as the matches around can be trusted, min(S(w), 1) times, that of natural
-    lightness LIGHTNESS_SHARE min(S(w), 1)^2 times. S runs at half the grid's resolution: the same error on the pairs as at full
-    resolution.
+    Beside the regression the remainder counts as far as the matches around can be trusted, min(S(w), 1) times; where a grey is
+    one tissue, that of natural lightness LIGHTNESS_SHARE min(S(w), 1)^2 times. S runs at half the grid's resolution: the same
+    error on the pairs as at full resolution.
 
     Args:
         grey, mask: as for `transfer`. relation, rest: as for and of `remainder`. within: see `SliceMatch`.
@@ -210,7 +210,8 @@ def combine(
         smoothed = FILTERS["fgs"](rest, guide_of(_resized(grey, rest.shape[:2]), parameters), REMAINDER)
         believed = np.minimum(smoothed[..., -1:], 1) / np.maximum(smoothed[..., -1:], 1e-12)
         if parameters.luminance == "natural":
-            smoothed[..., 0] *= LIGHTNESS_SHARE * np.minimum(smoothed[..., -1], 1)
+            trusted = np.float32(LIGHTNESS_SHARE) * np.minimum(smoothed[..., -1], 1)
+            smoothed[..., 0] *= 1 - np.float32(parameters.one_tissue) * (1 - trusted)
         change = _resized(smoothed[..., :-1] * believed, grey.shape)
         read = without_noise(grey) if parameters.luminance == "natural" else grey
         guess = regression.predict(relation, 255 * _spread(read, parameters), within)

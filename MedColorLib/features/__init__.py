@@ -35,9 +35,8 @@ EXTRACTORS = ("embedded", "vgg19", "gray-vgg19")
 CONTEXT_WEIGHTS = {"vgg19": (0.5, 0.5), "gray-vgg19": (0.5, 0.5)}
 
 OWN_WEIGHTS = Path(__file__).with_name("contrast_net.safetensors")
-# Of the own features: how much of what the coarsest level says of the place in the body counts where grey tells no tissue, as in
-# CT. Where grey tells it, as in MR, nothing of it, so that hue follows tissue.
-OWN_CONTEXT = 0.25
+# Of the own features: what the coarsest level says of the place in the body is left out, so that hue follows tissue.
+OWN_CONTEXT = 0.0
 
 
 class Extractor(Protocol):
@@ -91,16 +90,12 @@ def choose_features(name: str, preset: str = "balanced") -> str:
     return name
 
 
-def make_extractor(name: str, device: str = "cpu", context: float = 0.0) -> Extractor:
-    """Build the extractor `name` (already resolved by `choose_features`) on a torch device.
-
-    Args:
-        context: of the own features; see `contrast_net.Contrast`.
-    """
+def make_extractor(name: str, device: str = "cpu") -> Extractor:
+    """Build the extractor `name` (already resolved by `choose_features`) on a torch device."""
     if name == "embedded":
         from .contrast_net import Contrast
 
-        return Contrast(device, context)
+        return Contrast(device, OWN_CONTEXT)
     from .weights import find_weights, load_weights
 
     found = find_weights(name)

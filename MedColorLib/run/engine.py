@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..features import CONTEXT_WEIGHTS, OWN_CONTEXT, unit_descriptors
+from ..features import CONTEXT_WEIGHTS, unit_descriptors
 from ..features.components import PROJECTED_LAYERS, kept_energy, principal_components, project
 from ..features.kept import reference_features
 from ..matching.assignment import assign
@@ -147,8 +147,8 @@ class Engine:
         self.own_features = prepared.plan.features == "embedded"
         self.layers = (OWN_LAYER,) if self.own_features else tuple(range(5, self.stop_layer - 1, -1))
         self.grey_tells = self._grey_tells()
-        context = OWN_CONTEXT * (1 - self.grey_tells)
-        self.extractor = make_extractor(prepared.plan.features, self.device, context)
+
+        self.extractor = make_extractor(prepared.plan.features, self.device)
         self.reconstruct = make_reconstruction(self.settings.reconstruction, self.extractor)
         pictures = prepared.groups.pictures if prepared.groups else (None,) * len(prepared.references)
         self.references = [ReferenceOnGrid(r, self.grid, own) for r, own in zip(prepared.references, pictures)]
