@@ -36,6 +36,7 @@ log = logging.getLogger("MedColorLib")
 UNVOTED_TRUST = 1e-3  # of a group's mean colour, where the guard left no match: a fiftieth of the least trusted match
 OWN_LAYER = 3  # whose raster is that of MedColor's own features: positions of 4 x 4 pixels
 NEAR_MM = 80.0  # a head's height beyond the slices asked for: the photograph's level may lie there
+TELLING_SLICES, TELLING_PX = 24, 64  # of the whole scan, of a side: in them grey is asked how far it tells tissue
 MANY_REFERENCES = 7  # more are taken for one series, whose pictures all lie the same way
 
 
@@ -401,8 +402,12 @@ class Engine:
         """0..1, how far grey tells tissue in this scan, whichever slices are asked for; see `usual.grey_tells_tissue`."""
         from ..matching.usual import grey_tells_tissue
 
-        greys, masks = self.slices_on_grid(sample_slices([int(k) for k in self.prepared.body.slices]))
-        return grey_tells_tissue(greys[masks])
+        inside = []
+        for k in sample_slices([int(k) for k in self.prepared.body.slices], TELLING_SLICES):
+            grey, cover = self.slice_in_box(k)
+            few = np.s_[:: max(1, len(grey) // TELLING_PX), :: max(1, grey.shape[1] // TELLING_PX)]
+            inside.append(grey[few][cover[few] > 0.5])
+        return grey_tells_tissue(np.concatenate(inside))
 
     @property
     def one_tissue(self) -> float:
