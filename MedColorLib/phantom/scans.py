@@ -1,0 +1,65 @@
+"""The head as scanners show it: CT and MR of one anatomy."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..volume import Volume
+from .head import SKIN_MM, anatomy, anatomy_and_depth, coordinates
+from .noise import grain
+from .space import SIZE_MM
+from .tissues import NUMBER, TISSUES
+
+SHAPE = (48, 128, 112)
+_NOISE = {"ct": 7, "mr": 14}
+
+
+def labels(shape: tuple[int, int, int] = SHAPE) -> np.ndarray:
+    """(k, j, i) uint8 indices into TISSUES; k from the feet up, j from front to back, i from right to left.
+
+    The truth of `sample`, at the middle of each voxel; any shape covers the same head.
+    """
+    return anatomy(*coordinates(shape))
+
+
+def scan(modality: str, seed: int = 0, shape: tuple[int, int, int] = SHAPE) -> Volume:
+    """CT in HU (int16) or T1-like MR (uint16): each voxel blurred with its neighbours, and noise."""
+    up, back, left = coordinates(shape)
+    step_mm = [2 * size / (n - 1) for size, n in zip(SIZE_MM, shape)]
+    quarter = np.float32(step_mm[0] / 4)
+    halves = np.stack([up - quarter, up + quarter], 1).ravel()  # a slice is thick: the mean of two sections
+    tissues, depth_mm = anatomy_and_depth(halves, back, left)
+    table = np.array([tissue[{"ct": 0, "mr": 1}[modality]] for tissue in TISSUES.values()], np.float32)
+    both = _with_soft_skin(table[tissues], tissues, depth_mm, step_mm[2], table)
+    values = blurred(blurred((both[::2] + both[1::2]) / 2, 1), 2)
+    values = np.rint(values + _NOISE[modality] * grain(shape, seed + 1))
+    array = values.astype(np.int16) if modality == "ct" else np.maximum(values, 0).astype(np.uint16)
+    ijk_to_ras = np.diag([-step_mm[2], -step_mm[1], step_mm[0], 1.0])
+    ijk_to_ras[:3, 3] = (SIZE_MM[2], SIZE_MM[1], -SIZE_MM[0])
+    return Volume(array, ijk_to_ras, name=f"phantom {modality.upper()}")
+
+
+def _with_soft_skin(values: np.ndarray, tissues: np.ndarray, depth_mm: np.ndarray, step_mm: float, table: np.ndarray):
+    """Voxels that skin fills in part, to the air and to the fat below it, have their share of it: no terraces."""
+    skin, fat, air = (table[NUMBER[name]] for name in ("skin", "fat", "air"))
+    near = (depth_mm > -step_mm) & (depth_mm < SKIN_MM + step_mm)
+    near &= (tissues == NUMBER["skin"]) | (tissues == NUMBER["fat"]) | (depth_mm <= 0)
+    depth = depth_mm[near]
+    body = skin + _share(depth - np.float32(SKIN_MM), step_mm) * (fat - skin)
+    values[near] = air + _share(depth, step_mm) * (body - air)
+    return values
+
+
+def _share(depth_mm: np.ndarray, step_mm: float) -> np.ndarray:
+    return np.clip(depth_mm / np.float32(step_mm) + np.float32(0.5), 0, 1)
+
+
+def blurred(values: np.ndarray, axis: int) -> np.ndarray:
+    """Mean with both neighbours along an axis, of weights 1/8, 6/8 and 1/8."""
+    lines = np.moveaxis(values, axis, 0)
+    out = 6 * lines
+    out[1:] += lines[:-1]
+    out[:-1] += lines[1:]
+    out[0] += lines[0]
+    out[-1] += lines[-1]
+    return np.moveaxis(out / 8, 0, axis)
