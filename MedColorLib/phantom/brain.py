@@ -75,8 +75,8 @@ def _above_tent(up, back, left):
     wide = np.float32(9) + np.float32(0.42) * np.clip(back - 5, 0, 80)
     ridge = 1 / (1 + (side / wide) ** 2)
     height = np.float32(-35) + 27 * ridge - np.float32(0.3) * np.maximum(back - 34, 0)
-    front = np.maximum(np.float32(12) + np.float32(0.16) * side - back, 0)  # in front of it the temporal lobes reach down
-    return up - height + 3 * front
+    in_front = np.maximum(np.float32(12) + np.float32(0.16) * side - back, 0)  # where the temporal lobes reach down
+    return up - height + 3 * in_front
 
 
 def _cerebrum(up, back, left, depth, sway, twist):

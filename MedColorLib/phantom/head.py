@@ -63,6 +63,8 @@ _FACE = (
     ("mucosa", (0, -56, -68), (14, 26, 17), 0, 0, (), 4),
     ("air", (5, -56, -68), (3.6, 24, 15), 0.03, 0, (), 4),
     ("air", (9, -50, -66), (3.6, 15, 15), 0, 0, (), 4),
+    ("bone", (0, -46, -60), (1.1, 16, 14), 0, 0, (), 4),  # septum
+    ("fibrous tissue", (0, -72, -70), (1.3, 13, 13), 0, 0.2, (), 2),
     ("mucosa", (8, -54, -75), (3.4, 17, 4), 0, 0, (), 2),  # conchae
     ("mucosa", (8, -52, -64), (3, 14, 3.4), 0, 0, (), 2),
     ("mucosa", (28, -57, -70), (15, 18, 17), 0.1, 0, (), 2),  # maxillary sinuses
@@ -174,8 +176,9 @@ def _cavity(space: Space) -> np.ndarray:
 
 def _fossae(space: Space) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     axes = space.up, space.back, space.side
+    egg = space.side * (1 - np.float32(0.0011) * space.back)  # broader behind the ears than at the brow
     return (
-        depth_of(axes, (8, 3, 0), (64, 77, 62)),
+        depth_of((space.up, space.back, egg), (8, 3, 0), (64, 77, 62)),
         depth_of(axes, (-36, -7, 34), (19, 30, 23)),
         depth_of(axes, (-46, 40, 0), (30, 37, 54)),
     )

@@ -45,9 +45,9 @@ def lumps(axes: tuple[np.ndarray, ...], cell: float | tuple[float, ...], seed: i
         steps.append((first - first.min(), part * part * (3 - 2 * part)))
     values = hashed(*np.ix_(*nodes), seed=seed).astype(np.float32) / np.float32(2**31) - 1
     for axis, (first, step) in enumerate(steps):
-        step = step.reshape([-1 if other == axis else 1 for other in range(len(axes))])
+        along = step.reshape([-1 if other == axis else 1 for other in range(len(axes))])
         lower = values.take(first, axis)
-        values = lower + step * (values.take(first + 1, axis) - lower)
+        values = lower + along * (values.take(first + 1, axis) - lower)
     return values
 
 

@@ -19,16 +19,25 @@ _DIGITS = (0o75557, 0o26227, 0o71747, 0o71717, 0o55711, 0o74717, 0o74757, 0o7124
 def section(level: float = -0.45, seed: int = 0, scale: int = 1) -> np.ndarray:
     """(264, 248, 3) uint8 RGB times `scale`: the section at height `level` (-1 feet .. 1 vertex)."""
     fine = _FINE * scale
-    _, back, left = coordinates((1, _ROWS * fine, _COLS * fine))
-    tissue = anatomy(np.array([level * SIZE_MM[0]]), back, left)[0]
-    tissue = np.pad(_warped(tissue, fine), ((_EDGE_ROWS * fine,) * 2, (_EDGE_COLS * fine,) * 2))
-    lines = tuple((np.arange(n) * np.float32(0.8 / fine)).astype(np.float32) for n in tissue.shape)
+    tissue = _cut(level, fine)
+    lines = tuple(np.arange(n, dtype=np.float32) * np.float32(0.8 / fine) for n in tissue.shape)  # in mm
     picture = _textured(tissue, lines, seed)
     _embed(picture, tissue == 0, lines, seed)
     picture = _shrunk(picture, _FINE)
     _lay_out(picture, level, scale)
     picture *= 1 + np.float32(0.015) * grain(picture.shape[:2], seed + 5)[..., None]
     return np.rint(np.clip(picture, 0, 255)).astype(np.uint8)
+
+
+def section_labels(level: float = -0.45) -> np.ndarray:
+    """(264, 248) uint8 indices into TISSUES: the truth of `section`, at the middle of each pixel; 0 in gelatin."""
+    return np.ascontiguousarray(_cut(level, _FINE)[_FINE // 2 :: _FINE, _FINE // 2 :: _FINE])
+
+
+def _cut(level: float, fine: int) -> np.ndarray:
+    _, back, left = coordinates((1, _ROWS * fine, _COLS * fine))
+    tissue = _warped(anatomy(np.array([level * SIZE_MM[0]]), back, left)[0], fine)
+    return np.pad(tissue, ((_EDGE_ROWS * fine,) * 2, (_EDGE_COLS * fine,) * 2))
 
 
 def _warped(tissue: np.ndarray, fine: int) -> np.ndarray:
@@ -81,7 +90,6 @@ def _embed(picture: np.ndarray, outside: np.ndarray, lines: tuple, seed: int) ->
 
 
 def _shrunk(picture: np.ndarray, factor: int) -> np.ndarray:
-    rows, cols = (n // factor for n in picture.shape[:2])
     parts = [picture[row::factor, col::factor] for row in range(factor) for col in range(factor)]
     return sum(parts[1:], parts[0].copy()) / np.float32(factor * factor)
 

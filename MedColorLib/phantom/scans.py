@@ -11,7 +11,7 @@ from .space import SIZE_MM
 from .tissues import NUMBER, TISSUES
 
 SHAPE = (48, 128, 112)
-_NOISE = {"ct": 7, "mr": 14}
+_NOISE = {"ct": 7, "mr": 10}
 
 
 def labels(shape: tuple[int, int, int] = SHAPE) -> np.ndarray:
@@ -27,11 +27,11 @@ def scan(modality: str, seed: int = 0, shape: tuple[int, int, int] = SHAPE) -> V
     up, back, left = coordinates(shape)
     step_mm = [2 * size / (n - 1) for size, n in zip(SIZE_MM, shape)]
     quarter = np.float32(step_mm[0] / 4)
-    halves = np.stack([up - quarter, up + quarter], 1).ravel()  # a slice is thick: the mean of two sections
+    halves = np.stack([up - quarter, up + quarter], 1).ravel()  # a slice is as thick as it is far from the next
     tissues, depth_mm = anatomy_and_depth(halves, back, left)
     table = np.array([tissue[{"ct": 0, "mr": 1}[modality]] for tissue in TISSUES.values()], np.float32)
     both = _with_soft_skin(table[tissues], tissues, depth_mm, step_mm[2], table)
-    values = blurred(blurred((both[::2] + both[1::2]) / 2, 1), 2)
+    values = _blurred(_blurred(_of_two(_blurred(both, 0)), 1), 2)
     values = np.rint(values + _NOISE[modality] * grain(shape, seed + 1))
     array = values.astype(np.int16) if modality == "ct" else np.maximum(values, 0).astype(np.uint16)
     ijk_to_ras = np.diag([-step_mm[2], -step_mm[1], step_mm[0], 1.0])
@@ -54,12 +54,16 @@ def _share(depth_mm: np.ndarray, step_mm: float) -> np.ndarray:
     return np.clip(depth_mm / np.float32(step_mm) + np.float32(0.5), 0, 1)
 
 
-def blurred(values: np.ndarray, axis: int) -> np.ndarray:
-    """Mean with both neighbours along an axis, of weights 1/8, 6/8 and 1/8."""
+def _of_two(values: np.ndarray) -> np.ndarray:
+    return (values[::2] + values[1::2]) / 2
+
+
+def _blurred(values: np.ndarray, axis: int) -> np.ndarray:
+    """Mean with both neighbours along an axis, of weights 1/6, 4/6 and 1/6."""
     lines = np.moveaxis(values, axis, 0)
-    out = 6 * lines
+    out = 4 * lines
     out[1:] += lines[:-1]
     out[:-1] += lines[1:]
     out[0] += lines[0]
     out[-1] += lines[-1]
-    return np.moveaxis(out / 8, 0, axis)
+    return np.moveaxis(out / 6, 0, axis)

@@ -6,7 +6,7 @@ import numpy as np
 
 from .tissues import NUMBER
 
-SIZE_MM = (96.0, 102.4, 89.6)  # from the middle to the first and last voxel: up, back, left
+SIZE_MM = (94.0, 101.6, 88.8)  # from the middle to the middle of the first and last voxel: up, back, left
 
 
 def depth_of(axes: tuple, centre: tuple, radii: tuple) -> np.ndarray:
