@@ -54,7 +54,7 @@ _BASE = (
 _FACE = (
     ("air", (9, -71, -22), (8, 3.2, 9), -0.3, -0.1, _BONY, 2),  # frontal sinuses
     ("bone", (29, -50, -43), (21, 21, 20), -0.4, 0, (), 2),  # orbits
-    ("bone", (28, -56, -70), (18, 20, 20), 0.1, 0, (), 2),  # maxillae
+    ("bone", (28, -55, -70), (17, 19, 20), 0.1, 0, (), 2),  # maxillae
     ("bone", (50, -50, -58), (7, 14, 9), 0.5, 0, (), 2),  # zygomata
     ("marrow", (50, -50, -58), (4, 10, 6), 0.5, 0, _BONY, 2),
     ("bone", (64, -20, -60), (2.4, 32, 4), 0.12, 0, _SOFT, 2),  # zygomatic arches
@@ -67,8 +67,8 @@ _FACE = (
     ("fibrous tissue", (0, -72, -70), (1.3, 13, 13), 0, 0.2, (), 2),
     ("mucosa", (8, -54, -75), (3.4, 17, 4), 0, 0, (), 2),  # conchae
     ("mucosa", (8, -52, -64), (3, 14, 3.4), 0, 0, (), 2),
-    ("mucosa", (28, -57, -70), (15, 18, 17), 0.1, 0, (), 2),  # maxillary sinuses
-    ("air", (28, -57, -70), (13.5, 16.5, 15.5), 0.1, 0, (), 2),
+    ("mucosa", (28, -53, -70), (13, 14.5, 15.5), 0.1, 0, (), 2),  # maxillary sinuses
+    ("air", (28, -53, -70), (11.8, 13.2, 14.2), 0.1, 0, (), 2),
     ("fat", (31, -54, -43), (18, 25, 17), -0.4, 0, (), 2),  # orbits
     ("muscle", (31, -75.5, -43), (15, 2, 12), 0, 0, ("fat",), 2),  # lids
     ("muscle", (18, -46, -43), (2, 17, 4.5), -0.3, 0, (), 2),  # recti
@@ -176,7 +176,7 @@ def _cavity(space: Space) -> np.ndarray:
 
 def _fossae(space: Space) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     axes = space.up, space.back, space.side
-    egg = space.side * (1 - np.float32(0.0011) * space.back)  # broader behind the ears than at the brow
+    egg = space.side * (1 - np.float32(0.0014) * space.back)  # broader behind the ears than at the brow
     return (
         depth_of((space.up, space.back, egg), (8, 3, 0), (64, 77, 62)),
         depth_of(axes, (-36, -7, 34), (19, 30, 23)),
@@ -196,8 +196,8 @@ def _outline(space: Space, temple: np.ndarray) -> np.ndarray:
     for centre, radii, round_mm in _FEATURES:
         out = joined(out, depth_of(axes, centre, radii), round_mm)
     nose = depth_of((up, back - np.float32(0.36) * (up + 72), side), (-64, -82, 0), (27, 12, 10))
-    pinna = up, back - np.float32(0.2) * (up + 50), side - np.float32(0.22) * (back - 12)
-    ear = depth_of(pinna, (-50, 14, 75), (23, 14, 4.5))
+    pinna = up, back - np.float32(0.2) * (up + 50), side - np.float32(0.1) * (back - 12)
+    ear = depth_of(pinna, (-50, 14, 73), (23, 14, 4.2))
     return joined(joined(out, nose, 10), ear, 8)
 
 

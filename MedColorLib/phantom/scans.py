@@ -30,8 +30,10 @@ def scan(modality: str, seed: int = 0, shape: tuple[int, int, int] = SHAPE) -> V
     halves = np.stack([up - quarter, up + quarter], 1).ravel()  # a slice is as thick as it is far from the next
     tissues, depth_mm = anatomy_and_depth(halves, back, left)
     table = np.array([tissue[{"ct": 0, "mr": 1}[modality]] for tissue in TISSUES.values()], np.float32)
-    both = _with_soft_skin(table[tissues], tissues, depth_mm, step_mm[2], table)
-    values = _blurred(_blurred(_of_two(_blurred(both, 0)), 1), 2)
+    body = _with_even_skin(table[tissues], tissues, depth_mm, step_mm, table)
+    body = _blurred(_blurred(_of_two(_blurred(body, 0)), 1), 2)
+    air, cover = table[NUMBER["air"]], _of_two(_share(depth_mm, step_mm[2]))
+    values = air + cover * (body - air)  # voxels that skin fills in part have their share of it: no terraces
     values = np.rint(values + _NOISE[modality] * grain(shape, seed + 1))
     array = values.astype(np.int16) if modality == "ct" else np.maximum(values, 0).astype(np.uint16)
     ijk_to_ras = np.diag([-step_mm[2], -step_mm[1], step_mm[0], 1.0])
@@ -39,14 +41,12 @@ def scan(modality: str, seed: int = 0, shape: tuple[int, int, int] = SHAPE) -> V
     return Volume(array, ijk_to_ras, name=f"phantom {modality.upper()}")
 
 
-def _with_soft_skin(values: np.ndarray, tissues: np.ndarray, depth_mm: np.ndarray, step_mm: float, table: np.ndarray):
-    """Voxels that skin fills in part, to the air and to the fat below it, have their share of it: no terraces."""
-    skin, fat, air = (table[NUMBER[name]] for name in ("skin", "fat", "air"))
-    near = (depth_mm > -step_mm) & (depth_mm < SKIN_MM + step_mm)
+def _with_even_skin(values: np.ndarray, tissues: np.ndarray, depth_mm: np.ndarray, step_mm: list, table: np.ndarray):
+    """Skin passes into the fat below it within a voxel, and goes on beyond the surface, so that blurring draws no air in."""
+    skin, fat = (table[NUMBER[name]] for name in ("skin", "fat"))
+    near = (depth_mm > -3 * step_mm[2]) & (depth_mm < SKIN_MM + step_mm[2])
     near &= (tissues == NUMBER["skin"]) | (tissues == NUMBER["fat"]) | (depth_mm <= 0)
-    depth = depth_mm[near]
-    body = skin + _share(depth - np.float32(SKIN_MM), step_mm) * (fat - skin)
-    values[near] = air + _share(depth, step_mm) * (body - air)
+    values[near] = skin + _share(depth_mm[near] - np.float32(SKIN_MM), step_mm[2]) * (fat - skin)
     return values
 
 
