@@ -10,8 +10,8 @@ PHOTOGRAPHS = tuple(f"photograph_{number}.png" for number in range(1, 6))
 FILES = (*PHOTOGRAPHS, "colored.nrrd", "report.json", "picture.png")
 WHAT_TO_SEE = (
     "open picture.png: the scan in grey, and beside it in colour: folded grey matter over paler white matter, dark red "
-    "muscle, cream fat. photograph_1.png to photograph_5.png are the sections that the colours come from; all is made "
-    "by formula. colored.nrrd is the volume, for 3D Slicer; report.json says what was done"
+    f"muscle, cream fat. {', '.join(PHOTOGRAPHS)} are the sections that the colours come from; all is made by formula. "
+    "colored.nrrd is the volume, for 3D Slicer; report.json says what was done"
 )
 
 
