@@ -103,9 +103,9 @@ class InputsPart:
         if p.referenceSource == "recommended":
             return [p.pickedReference]
         if p.referenceSource == "sample":
-            from MedColorLib.phantom import sample
+            from MedColorLib.phantom import SERIES_LEVELS, section
 
-            return [sample()[1]]
+            return [section(level) for level in SERIES_LEVELS]
         return [p.referencePath]
 
     def _onPath(self, path) -> None:

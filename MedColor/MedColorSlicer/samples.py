@@ -65,16 +65,16 @@ def register(resources_folder: str) -> None:
 
 
 def load_phantom(_source=None):
-    """Put the phantom and its colour picture into the scene; needs no network.
+    """Put the phantom's MR and a colour picture at the level of its eyes into the scene; needs no network.
 
     Returns:
         [scalar volume node, colour picture node]
     """
     import numpy as np
 
-    from MedColorLib.phantom import sample
+    from MedColorLib.phantom import SERIES_SHAPE, scan, section
 
-    volume, picture = sample()
+    volume, picture = scan("mr", shape=SERIES_SHAPE), section()
     grey = slicer.util.addVolumeFromArray(volume.array, np.asarray(volume.ijk_to_ras), PHANTOM)
     color = slicer.util.addVolumeFromArray(
         picture[np.newaxis], np.diag([-1.0, -1.0, 1.0, 1.0]), f"{PHANTOM} picture", "vtkMRMLVectorVolumeNode"

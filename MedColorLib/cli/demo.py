@@ -6,15 +6,17 @@ from pathlib import Path
 
 from ..errors import OutputError
 
-FILES = ("reference.png", "colored.nrrd", "report.json", "picture.png")
+PHOTOGRAPHS = tuple(f"photograph_{number}.png" for number in range(1, 6))
+FILES = (*PHOTOGRAPHS, "colored.nrrd", "report.json", "picture.png")
 WHAT_TO_SEE = (
-    "open picture.png: the scan in grey, and beside it in the colours of the photograph reference.png (both made by formula). "
+    "open picture.png: the scan in grey, and beside it in colour: folded grey matter over paler white matter, dark red "
+    f"muscle, cream fat. {', '.join(PHOTOGRAPHS)} are the sections that the colours come from; all is made by formula. "
     "colored.nrrd is the volume, for 3D Slicer; report.json says what was done"
 )
 
 
 def run_demo(folder: str | Path, progress=None) -> list[Path]:
-    """Colour the phantom with the embedded features, write volume, report and pictures into `folder`.
+    """Colour the phantom's MR after five sections of it, write volume, report and pictures into `folder`.
 
     Returns:
         The files written.
@@ -25,7 +27,7 @@ def run_demo(folder: str | Path, progress=None) -> list[Path]:
     """
     from ..io.files import write_color_volume
     from ..parameters import Settings
-    from ..phantom import sample
+    from ..phantom import series
     from ..pipeline import colorize
     from ..rendering import render_to_png
     from ..rendering.sheet import write_png
@@ -36,14 +38,20 @@ def run_demo(folder: str | Path, progress=None) -> list[Path]:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise OutputError(f"demo folder {folder}: cannot be made ({error.strerror})") from error
-    volume, reference = sample()
-    paths = [folder / name for name in FILES]
-    write_png(paths[0], reference)
     progress = progress or (lambda _fraction, _text: None)
+    progress(0.0, "making a head by formula")
+    volume, references = series()
+    photographs = [folder / name for name in PHOTOGRAPHS]
+    for path, picture in zip(photographs, references):
+        write_png(path, picture)
+    colored, report, picture = (folder / name for name in FILES[len(PHOTOGRAPHS) :])
     result = colorize(
-        volume, [reference], Settings(features="embedded"), progress=lambda f, text: progress(0.7 * f, text)
+        volume,
+        [str(path) for path in photographs],
+        Settings(features="embedded"),
+        progress=lambda f, text: progress(0.05 + 0.65 * f, text),
     )
-    write_color_volume(result, paths[1])
-    write_report(result.report, paths[2])
-    render_to_png(paths[3], result, volume, progress=lambda f, text: progress(0.7 + 0.3 * f, text))
-    return paths
+    write_color_volume(result, colored)
+    write_report(result.report, report)
+    render_to_png(picture, result, volume, progress=lambda f, text: progress(0.7 + 0.3 * f, text))
+    return [*photographs, colored, report, picture]

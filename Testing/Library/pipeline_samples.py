@@ -9,7 +9,7 @@ from MedColorLib import Settings, Volume
 DRAFT = Settings(preset="draft", features="embedded", device="cpu")
 
 
-MIDDLE = np.s_[3:8]  # slices around eye level, where the phantom's section was cut
+MIDDLE = np.s_[2:7]  # slices around eye level, where the phantom's section was cut; in the lowest the sinuses are wide
 
 
 def settings(**changes) -> Settings:

@@ -40,7 +40,7 @@ def test_phantom_of_sample_data_needs_numpy_and_vtk_alone(fresh):
     from MedColorSlicer import samples
 
     grey, picture = samples.load_phantom()
-    assert slicer.util.arrayFromVolume(grey).shape == (48, 128, 112)
+    assert slicer.util.arrayFromVolume(grey).shape == (80, 144, 126)
     assert slicer.util.arrayFromVolume(picture).shape == (1, 264, 248, 3)
 
 

@@ -221,7 +221,9 @@ class TestWeights:
 
 class TestDemo:
     def test_everything_is_written_without_any_download(self, ct, tmp_path, monkeypatch, capsys, gl):
-        monkeypatch.setattr(phantom, "sample", lambda: (ct.volume, ct.reference))
+        monkeypatch.setattr(
+            phantom, "series", lambda: (ct.volume, [phantom.section(level) for level in phantom.SERIES_LEVELS])
+        )
         small = partial(rendering.render_to_png, size=(480, 360))
         monkeypatch.setattr(rendering, "render_to_png", small)
         assert medcolor("demo", "-o", tmp_path / "new" / "demo") == 0
@@ -229,7 +231,7 @@ class TestDemo:
         written = [Path(line).name for line in said.out.splitlines()]
         assert sorted(written) == sorted(p.name for p in (tmp_path / "new" / "demo").iterdir())
         assert all(name in said.err for name in written)  # what to see in which
-        assert {"reference.png", "colored.nrrd", "report.json", "picture.png"} <= set(written)
+        assert {"photograph_1.png", "photograph_5.png", "colored.nrrd", "report.json", "picture.png"} <= set(written)
         assert read_color_volume(tmp_path / "new" / "demo" / "colored.nrrd").rgb.any()
 
     def test_folder_that_cannot_be_made(self, tmp_path, capsys):

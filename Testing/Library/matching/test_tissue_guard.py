@@ -138,9 +138,9 @@ class TestTogetherWith:
 
     def test_a_reference_upside_down(self, ct):
         """Labels are turned with their picture. The phantom's anatomy tells up from down."""
-        from MedColorLib.phantom import labels as anatomy
+        from MedColorLib.phantom import section_labels
 
-        tissues = np.pad(anatomy((41, 256, 224))[11], ((4, 4), (12, 12)))
+        tissues = section_labels()
         volume = Volume(ct.volume.array[4:6], ct.volume.ijk_to_ras, name="ct")
         guard = Guard(Volume(ct.labels[4:6], ct.volume.ijk_to_ras), [tissues])
         straight = colorize(volume, [ct.reference], settings(window=None), guard=guard)

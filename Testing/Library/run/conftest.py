@@ -18,4 +18,4 @@ def volume(ct) -> Volume:
 
 @pytest.fixture
 def references() -> list[np.ndarray]:
-    return [section(-0.45), section(0.55)]
+    return [section(-0.45), section(0.3)]

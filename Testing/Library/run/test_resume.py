@@ -55,9 +55,7 @@ class TestSameBytes:
         plain = colorize(volume, references, chosen)
         batches, total = list(matched), len(matched)
         chosen_references = len(set(plain.report["reference_of_slice"].values()))
-        assert sum(batches) == 8 and chosen_references == (
-            1 if kind == "full" else 2
-        )  # weights by chance like only one
+        assert sum(batches) == 8 and chosen_references == 2
         steps = total + 3  # the repeat is a step without a match
         for after in range(steps) if kind == "draft" else (1, steps // 2, steps - 1):
             matched.clear()
