@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from ..device import fast_dtype
+from ..device import fast_dtype, side_by_side
 from ..features import CONTEXT_WEIGHTS
 from ..features.weights import find_weights, load_weights
 from ..io.files import write_color_volume
@@ -19,7 +19,7 @@ from ..matching.fields import exact, patches
 from ..parameters import Settings
 from ..progress import Progress, Run
 from ..run.engine import Engine
-from ..run.paint import Painter, side_by_side
+from ..run.paint import Painter
 from ..run.prepare import Prepared, prepare
 from ..volume import ColorVolume, Volume
 from . import real_volumes, suite_pipeline, work

@@ -68,9 +68,10 @@ def estimate(
     Raises:
         As `colorize`.
     """
+    from ..device import side_by_side
     from ..progress import Run
     from .engine import Engine
-    from .paint import Painter, side_by_side
+    from .paint import Painter
     from .prepare import prepare
 
     started = time.perf_counter()
