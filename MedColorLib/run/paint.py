@@ -136,16 +136,19 @@ class Painter:
         grey, mask = self._engine.slice_in_box(k)[0], self._engine.painted_in_box(k)
         kept = self.saturation[k]
         groups = None if self._groups is None else self._groups.in_box(k, self._boxes[k])
-        lab, uncolored = np.zeros((*grey.shape, 3)), 0
+        colors, uncolored = np.zeros((np.count_nonzero(mask), 3)), 0
         for name, (_, relation, rest) in zip(self._evidence, ready):
             own = mask if groups is None else mask & (groups == name)
             if groups is not None and not own.any():
                 continue
-            # each is 0 outside its own pixels
-            lab += combine(grey, own, relation, rest, self._parameters, self._frames[k], kept)
-            if groups is not None and not rest[..., -1].any():
+            found = combine(grey, own, relation, rest, self._parameters, self._frames[k], kept)
+            if groups is None:
+                colors = found
+                continue
+            colors[own[mask]] = found
+            if not rest[..., -1].any():
                 uncolored += int(np.count_nonzero(own))
-        return k, *to_picture(lab, mask), uncolored
+        return k, *to_picture(colors, mask), uncolored
 
     def _color_alone(self, k: int, match: SliceMatch) -> tuple[int, np.ndarray, int, int, int]:
         """`_color` from the slice's own match."""
