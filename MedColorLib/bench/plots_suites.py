@@ -81,13 +81,13 @@ def error_against_time(suite: Suite) -> bytes:
         axis.set(yscale="linear", xlabel="seconds of a core a slice", title=scan if column == "seen" else None)
         if number % len(scans) == 0:
             axis.set_ylabel(f"mean CIEDE2000,\n{_ERRORS[column]}")
+            axis.set_ylim(0, 1.1 * max(row[column] or 0 for row in table.where()))
         for row in table.where(scan=scan):
             if row[column] is not None:
                 bar = None if row["runs"] is None else _around(row)
                 axis.errorbar(row["seconds"], row[column], xerr=bar, **_style(methods.index(row["method"])))
-        axis.set_ylim(bottom=0)
-        axis.margins(x=0.12, y=0.12)
-        _plain_ticks(axis.xaxis)
+        axis.set_xlim(*_ends([row["seconds"] for row in table.where()]))
+        _plain_ticks(axis.xaxis, (1,))
         axis.tick_params(labelsize=7)
     handles = [axes[0].plot([], [], label=method, **_style(n))[0] for n, method in enumerate(methods)]
     figure.legend(handles=handles, loc="outside lower center", ncols=min(5, len(handles)), fontsize=8)
@@ -95,6 +95,11 @@ def error_against_time(suite: Suite) -> bytes:
 
 
 _ERRORS = {"seen": "lightness included", "chroma": "of a*, b* alone"}
+
+
+def _ends(values: list[float]) -> tuple[float, float]:
+    """Of a logarithmic axis for positive values, with some room."""
+    return min(values) / 2, 2 * max(values)
 
 
 def _style(number: int) -> dict:
@@ -109,11 +114,11 @@ def _around(row: dict) -> list[list[float]]:
     return [[row["seconds"] - row["seconds_low"]], [row["seconds_high"] - row["seconds"]]]
 
 
-def _plain_ticks(side) -> None:
+def _plain_ticks(side, steps: tuple[int, ...] = (1, 2, 5)) -> None:
     """1, 2, 5 and their decades as plain numbers along a logarithmic axis."""
     from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 
-    side.set_major_locator(LogLocator(subs=(1, 2, 5), numticks=30))
+    side.set_major_locator(LogLocator(subs=steps, numticks=30))
     side.set_major_formatter(FormatStrFormatter("%g"))
     side.set_minor_formatter(NullFormatter())
 

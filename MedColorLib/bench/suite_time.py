@@ -13,7 +13,6 @@ from ..errors import MedColorError
 from ..parameters import Settings
 from ..pipeline import colorize
 from ..progress import Progress
-from ..run.prepare import prepare
 from ..volume import ColorVolume, Volume
 from . import seen, trivial
 from .pairs import SECTIONS, Section
@@ -66,15 +65,9 @@ class Stopped:
     def __call__(self, volume: Volume, references: list, settings: Settings) -> ColorVolume:
         start = time.process_time()
         result = self.way.colorize(volume, references, settings)
-        taken = time.process_time() - start
-        if result.report:
-            stages = result.report["seconds"]
-            taken *= 1 - (stages["prepare"] + stages["network"]) / stages["total"]
-        else:
-            start = time.process_time()
-            prepare(volume, references, settings)
-            taken -= time.process_time() - start
-        self.seconds.append(max(taken, 1e-4) / len(volume.array))
+        taken, stages = time.process_time() - start, result.report["seconds"]
+        share = 1 - (stages["prepare"] + stages["network"]) / stages["total"]
+        self.seconds.append(taken * share / len(volume.array))
         return result
 
 
