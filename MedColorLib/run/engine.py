@@ -57,7 +57,7 @@ class Engine:
         self.stop_layer, self.uses_context = preset.stop_layer, preset.context
         self.components = self.settings.components
         self.own_features = prepared.plan.features == "embedded"
-        self._apart = (
+        self.apart = (
             self.own_features and self.device == "cpu"
         )  # each slice on a thread; a large network takes them together
         self.layers = (OWN_LAYER,) if self.own_features else tuple(range(5, self.stop_layer - 1, -1))
@@ -164,10 +164,10 @@ class Engine:
         self.features_of(index)  # before slices are matched side by side
         store = self.store
         stored = store.load(ks, index, self.device) if store else None
-        parts = [[k] for k in ks] if self._apart else [ks]
-        known = [None] * len(parts) if stored is None else stored.parts() if self._apart else [stored]
+        parts = [[k] for k in ks] if self.apart else [ks]
+        known = [None] * len(parts) if stored is None else stored.parts() if self.apart else [stored]
         with self.run.shared_out():
-            done = (self._each if self._apart else map)(self._match_part, parts, [index] * len(parts), known)
+            done = (self._each if self.apart else map)(self._match_part, parts, [index] * len(parts), known)
             found, greys, masks, labs, trusts = zip(*done)
         if store and not stored:
             store.save(ks, index, joined(found))
@@ -364,7 +364,7 @@ class Engine:
             colors = matched_colors(field, OWN_LAYER, own_lab).permute(0, 2, 3, 1).float().cpu().numpy()
             return seen_luminance(reference.grey, field, OWN_LAYER)[0], colors[0]
 
-        each = self._each if self._apart else map
+        each = self._each if self.apart else map
         seen, colors = (np.stack(values) for values in zip(*each(matched, greys, masks)))
         reference.contrast = seen_contrast(greys, masks, seen)
         reference.usual = usual_colors(greys[masks], colors[masks])
