@@ -246,7 +246,7 @@ class TestScaling:
 class TestRun:
     def test_unknown_suites_are_refused_with_what_there_is(self, tmp_path):
         for wanted in (["quality", "speed"], []):
-            with pytest.raises(SettingsError, match="choose from pipeline, quality"):
+            with pytest.raises(SettingsError, match="choose from time, pipeline, quality"):
                 run.run_bench(tmp_path, suites=wanted)
         with pytest.raises(SettingsError, match="suite by itself"):
             run.run_bench(tmp_path, suites=["quality"], stability=True)
