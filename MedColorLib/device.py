@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import errno
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
@@ -13,6 +14,8 @@ from .errors import DeviceError, MemoryTooSmall
 if TYPE_CHECKING:
     import torch
 
+
+Each = Callable[..., Iterable]  # like the built-in `map`
 
 # What RuntimeErrors say: torch on a CPU and on Apple's GPU, ITK, and any C++ library.
 _NO_MEMORY = (
@@ -54,6 +57,23 @@ def one_thread() -> Iterator[None]:
         yield
     finally:
         _set_threads(threads, cv2_threads)
+
+
+@contextmanager
+def side_by_side() -> Iterator[Each]:
+    """A `map` for the slices of a batch, each on a thread of its own; torch, too, has one thread for each.
+
+    Their arrays are too small to be worth several threads each. The result does not depend on the number of threads.
+    """
+    import torch
+
+    with ThreadPoolExecutor(torch.get_num_threads(), "MedColor slices") as pool:
+
+        def each(function, *arguments):
+            with one_thread():
+                return list(pool.map(function, *arguments))
+
+        yield each
 
 
 def leave_cores_free(count: int = 1) -> int:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from . import device
 from .device import memory_errors
 from .errors import MemoryTooSmall
 from .parameters import Settings
@@ -99,11 +100,12 @@ def _colorize(
     if store and store.stored_slices():
         log.info("resume: an interrupted run left %d slices matched; going on from there", store.stored_slices())
     rgb = np.zeros((*volume.array.shape, 3), np.uint8)
-    with run.timed("network"):
-        run.step(0.02, f"loading {prepared.plan.features} features")
-        engine = Engine(prepared, run, store)
     confidence = np.zeros(volume.array.shape, np.uint8) if prepared.settings.confidence else None
-    painter = _color_slices(prepared, engine, rgb, confidence, run)
+    with device.side_by_side() as each:
+        with run.timed("network"):
+            run.step(0.02, f"loading {prepared.plan.features} features")
+            engine = Engine(prepared, run, store, each)
+        painter = _color_slices(prepared, engine, rgb, confidence, run, each)
     with run.timed("rim"):
         run.step(0.99, "border of the body")
         rim_voxels = _add_rim(prepared, rgb, run)
@@ -128,16 +130,14 @@ def _resumed(store: RunStore | None) -> dict:
 
 
 def _color_slices(
-    prepared: Prepared, engine: Engine, rgb: np.ndarray, confidence: np.ndarray | None, run: Run
+    prepared: Prepared, engine: Engine, rgb: np.ndarray, confidence: np.ndarray | None, run: Run, each: device.Each
 ) -> Painter:
     """Fill `rgb` (k, j, i, 3) and, where it is wanted, `confidence` (k, j, i)."""
-    from .run.paint import Painter, side_by_side
+    from .run.paint import Painter
 
     view = prepared.order.view
-    stacks = view(rgb), None if confidence is None else view(confidence)
-    with side_by_side() as each:
-        painter = Painter(prepared, engine, *stacks, each)
-        _color_batches(prepared, engine, painter, run)
+    painter = Painter(prepared, engine, view(rgb), None if confidence is None else view(confidence), each)
+    _color_batches(prepared, engine, painter, run)
     return painter
 
 

@@ -9,14 +9,14 @@ COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#00
 MARKERS = "osD^vPX"
 
 
-def figure_of(columns: int, width: float = 4.6, height: float = 4.4, shared: bool = True):
-    """An empty figure and its axes in a row, both of which are logarithmic; `shared`: with one vertical scale."""
+def figure_of(columns: int, width: float = 4.6, height: float = 4.4, shared: bool | str = True, rows: int = 1):
+    """An empty figure and its axes row by row, both of which are logarithmic; `shared`: with one vertical scale."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(width * columns, height), dpi=110, layout="constrained")
+    figure = Figure(figsize=(width * columns, height * rows), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
-    axes = figure.subplots(1, columns, squeeze=False, sharey=shared)[0]
+    axes = figure.subplots(rows, columns, squeeze=False, sharey=shared).ravel()
     for axis in axes:
         axis.set(xscale="log", yscale="log")
         axis.grid(True, which="both", alpha=0.25)

@@ -11,6 +11,7 @@ from ..coloring.transfer import (
     SliceMatch,
     TransferParameters,
     combine,
+    on_plane,
     relation_sums,
     remainder,
     solve_relation,
@@ -218,4 +219,4 @@ def _transferred(grey, mask, match: SliceMatch, parameters: TransferParameters, 
         return transfer_lab(grey, mask, match, parameters)
     relation = solve_relation(relation_sums(match, parameters), parameters)
     nothing = np.zeros_like(remainder(match, relation, parameters))
-    return combine(grey, mask, relation, nothing, parameters, match.within)
+    return on_plane(combine(grey, mask, relation, nothing, parameters, match.within), mask)

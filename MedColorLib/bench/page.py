@@ -15,6 +15,7 @@ td.number { text-align: right; font-variant-numeric: tabular-nums } img { max-wi
 details { margin: .6em 0 } summary { cursor: pointer; font-weight: 600 }
 """
 _TITLES = {
+    "time": "Error against time",
     "pipeline": "The whole pipeline",
     "quality": "What each improvement brings",
     "smoothing": "Smoothing",
@@ -26,14 +27,14 @@ _TITLES = {
     "stability": "Stability",
 }
 _PLOTS = {
-    "pipeline": ("pipeline",),
+    "time": ("error_against_time",),
     "quality": ("seen", "quality"),
     "smoothing": ("smoothing", "rounding"),
     "correspondence": ("correspondence",),
     "profile": ("profile",),
     "scaling": ("scaling",),
 }
-_OPEN = ("summary", "stability", "regions", "calls", "features", "beaten", "coherence", "seen")
+_OPEN = ("summary", "stability", "regions", "calls", "features", "beaten", "coherence", "seen", "against_time")
 _LONG = 60  # rows from which a table is folded
 
 

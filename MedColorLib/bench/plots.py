@@ -7,17 +7,15 @@ from collections.abc import Callable
 from . import plots_suites
 from .figures import COLORS, MARKERS, figure_of, png_of
 from .suite_smoothing import IMPLEMENTATIONS, SCENES
-from .summary import own_variant
-from .tables import Suite, Table
+from .tables import Suite
 
-_PANELS = ("as it is", "strong", "inverted")
 _FLOOR = 1e-6  # where an error of zero is drawn on a logarithmic axis
 
 
 def draw_all(suites: dict[str, Suite]) -> dict[str, bytes]:
     """PNG by name, for the suites that were run."""
     plots: dict[str, tuple[str, Callable[[Suite], bytes]]] = {
-        "pipeline": ("pipeline", _pipeline),
+        "error_against_time": ("time", plots_suites.error_against_time),
         "smoothing": ("smoothing", _smoothing),
         "rounding": ("smoothing", _rounding),
         "correspondence": ("correspondence", _correspondence),
@@ -46,66 +44,6 @@ def _finished(figure, axes, plain_errors: bool = True) -> bytes:
             side.set_minor_formatter(NullFormatter())
         axis.tick_params(labelsize=8)
     return png_of(figure)
-
-
-def _bars(row: dict) -> list[list[float]]:
-    """Horizontal error bar of a row: median to the quartiles."""
-    return [[row["seconds"] - row["seconds_low"]], [row["seconds_high"] - row["seconds"]]]
-
-
-def _pipeline(suite: Suite) -> bytes:
-    errors = suite.tables["errors"]
-    section = errors.rows[0][0]
-    figure, axes = figure_of(len(_PANELS))
-    for axis, remap in zip(axes, _PANELS):
-        for number, features in enumerate(("vgg19", "embedded")):
-            _pipeline_points(axis, errors, {"section": section, "remap": remap, "features": features}, number)
-        for line, name in zip(("--", "-.", ":"), ("look-up table", "same position", "mean colour")):
-            row = errors.where(section=section, remap=remap, method=name)[0]
-            axis.axhline(row["mean"], linestyle=line, color="0.4", linewidth=1, label=name)
-        axis.set(
-            title=f"{section}, luminance {remap}", xlabel="seconds per slice of 256 x 256", ylabel="mean CIEDE2000"
-        )
-    axes[0].plot([], [], "o", color="0.5", markersize=3, label="other smoothers, gamma")
-    axes[0].plot([], [], "o", color="0.5", markerfacecolor="none", label="a preset with one step changed")
-    return _finished(figure, axes)
-
-
-def _pipeline_points(axis, errors: Table, keys: dict, number: int) -> None:
-    label = keys["features"]
-    for row in errors.where(**keys):
-        if row["seconds"] is None:
-            continue
-        own = own_variant(row["method"].split(",")[0])
-        is_own = row["smoother"] == own["smoother"] and row["gamma"] == own["gamma"]
-        style = {
-            "color": COLORS[number],
-            "marker": MARKERS[number],
-            "linestyle": "none",
-            "markersize": 7 if is_own else 3,
-            "markerfacecolor": "none" if _is_variant(row["method"]) and is_own else COLORS[number],
-        }
-        axis.errorbar(
-            row["seconds"],
-            row["mean"],
-            xerr=_bars(row),
-            label=label if is_own and not _is_variant(row["method"]) else None,
-            **style,
-        )
-        if is_own and not _is_variant(row["method"]):
-            label = None
-            axis.annotate(
-                row["method"].removeprefix("balanced, "),
-                (row["seconds"], row["mean"]),
-                fontsize=7,
-                xytext=(4, 4),
-                textcoords="offset points",
-            )
-
-
-def _is_variant(method: str) -> bool:
-    """A preset with one step changed, for example "balanced, without context": in the table, without a name in the plot."""
-    return "," in method and "to layer" not in method
 
 
 def _smoothing(suite: Suite) -> bytes:

@@ -24,8 +24,9 @@ def quality(suite: Suite) -> bytes:
     for row, place in zip(rows, places):
         if row["seconds"] is None:
             continue
-        bar = [[row["seconds"] - row["seconds_low"]], [row["seconds_high"] - row["seconds"]]]
-        plane.errorbar(row["seconds"], place, xerr=bar, marker="o", color=COLORS[1], linestyle="none", markersize=4)
+        plane.errorbar(
+            row["seconds"], place, xerr=_around(row), marker="o", color=COLORS[1], linestyle="none", markersize=4
+        )
     bars.set_yticks(places, names, fontsize=7)
     bars.set(xlabel="mean CIEDE2000", title=f"{first['section']}, luminance {first['remap']}")
     plane.set(xlabel="seconds per slice of 256 x 256", title="seconds of the same lines")
@@ -70,11 +71,54 @@ def seen(suite: Suite) -> bytes:
     return png_of(figure)
 
 
-def _plain_ticks(side) -> None:
+def error_against_time(suite: Suite) -> bytes:
+    """The error that is seen above that of colour alone, a column a scan; a colour and a marker for each method."""
+    table = suite.tables["against_time"]
+    scans, methods = (list(dict.fromkeys(row[name] for row in table.where())) for name in ("scan", "method"))
+    figure, axes = figure_of(len(scans), 4.4, 3.4, shared="row", rows=2)
+    for number, axis in enumerate(axes):
+        scan, column = scans[number % len(scans)], ("seen", "chroma")[number // len(scans)]
+        axis.set(yscale="linear", xlabel="seconds of a core a slice", title=scan if column == "seen" else None)
+        if number % len(scans) == 0:
+            axis.set_ylabel(f"mean CIEDE2000,\n{_ERRORS[column]}")
+            axis.set_ylim(0, 1.1 * max(row[column] or 0 for row in table.where()))
+        for row in table.where(scan=scan):
+            if row[column] is not None:
+                bar = None if row["runs"] is None else _around(row)
+                axis.errorbar(row["seconds"], row[column], xerr=bar, **_style(methods.index(row["method"])))
+        axis.set_xlim(*_ends([row["seconds"] for row in table.where()]))
+        _plain_ticks(axis.xaxis, (1,))
+        axis.tick_params(labelsize=7)
+    handles = [axes[0].plot([], [], label=method, **_style(n))[0] for n, method in enumerate(methods)]
+    figure.legend(handles=handles, loc="outside lower center", ncols=min(5, len(handles)), fontsize=8)
+    return png_of(figure)
+
+
+_ERRORS = {"seen": "lightness included", "chroma": "of a*, b* alone"}
+
+
+def _ends(values: list[float]) -> tuple[float, float]:
+    """Of a logarithmic axis for positive values, with some room."""
+    return min(values) / 2, 2 * max(values)
+
+
+def _style(number: int) -> dict:
+    """How the points of a method look; filled, then hollow."""
+    color, marker = COLORS[number % len(COLORS)], MARKERS[number % len(MARKERS)]
+    fill = color if number < len(COLORS) else "none"
+    return {"color": color, "marker": marker, "markerfacecolor": fill, "linestyle": "none", "markersize": 8}
+
+
+def _around(row: dict) -> list[list[float]]:
+    """Horizontal error bar of a row: median to the quartiles."""
+    return [[row["seconds"] - row["seconds_low"]], [row["seconds_high"] - row["seconds"]]]
+
+
+def _plain_ticks(side, steps: tuple[int, ...] = (1, 2, 5)) -> None:
     """1, 2, 5 and their decades as plain numbers along a logarithmic axis."""
     from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 
-    side.set_major_locator(LogLocator(subs=(1, 2, 5), numticks=30))
+    side.set_major_locator(LogLocator(subs=steps, numticks=30))
     side.set_major_formatter(FormatStrFormatter("%g"))
     side.set_minor_formatter(NullFormatter())
 

@@ -20,14 +20,15 @@ from .tables import Suite
 _DATA = Path(__file__).resolve().parents[3] / "shared" / "data"  # beside a checkout of the repository
 # in the order of the page, with a share of the run time for the progress bar
 SUITES = {
-    "pipeline": 0.35,
-    "quality": 0.25,
+    "time": 0.1,
+    "pipeline": 0.3,
+    "quality": 0.22,
     "smoothing": 0.04,
     "correspondence": 0.06,
     "features": 0.03,
     "profile": 0.05,
     "sidebyside": 0.05,
-    "scaling": 0.12,
+    "scaling": 0.1,
     "stability": 0.05,
 }
 _TOO_LONG_FOR_QUICK = ("scaling",)  # run there only when named
@@ -133,6 +134,7 @@ def _suites(sections: list[Section], data: Path | None, quick: bool, seed: int) 
     first = sections[0] if sections else None
     return {
         "pipeline": lambda progress: _pipeline(sections, data, quick, seed, progress),
+        "time": by_module("time", sections, data),
         "quality": by_module("quality", sections, data),
         "correspondence": lambda progress: _correspondence(sections, quick, seed, progress),
         "profile": by_module("profile", first, data),

@@ -23,11 +23,13 @@ from . import (
     suite_scaling,
     suite_sidebyside,
     suite_smoothing,
+    suite_time,
     summary,
 )
 
 SCHEMA = 1
 TABLES = {
+    "against_time": suite_time.COLUMNS,
     "errors": suite_pipeline.COLUMNS,
     "calls": suite_pipeline.CALL_COLUMNS,
     "regions": regions.COLUMNS,
@@ -60,7 +62,7 @@ _VERDICTS = ("pass", "refused", "FAIL")
 _TEXT = {
     "section", "remap", "features", "method", "smoother", "what", "region", "scene", "start", "precision", "area", "case",
     "condition", "expected", "got", "verdict", "beside", "target", "baseline", "volume", "stage", "per", "unit",
-    "measure", "picture", "said",
+    "measure", "picture", "said", "scan",
 }  # fmt: skip
 _FLAGS = {"gamma", "met", "right", "noticed"}
 

@@ -54,13 +54,17 @@ SEEN_REMAPS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
 
 @dataclass(frozen=True)
 class Seen:
-    """One comparison: CIEDE2000 with the best exposure gain, that gain, and CIEDE2000 with the photograph as it is."""
+    """One comparison: CIEDE2000 with the best exposure gain, that gain, and CIEDE2000 with the photograph as it is.
+
+    `chroma`: mean with that gain and with the photograph's lightness put in, so of a*, b* alone.
+    """
 
     mean: float
     worst: float
     gain: float
     mean_as_it_is: float
     worst_as_it_is: float
+    chroma: float = float("nan")
 
 
 @dataclass(frozen=True)
@@ -156,7 +160,8 @@ def seen_pair(
         return float(error[pair.mask].mean()), worst_patch(error, pair.mask)
 
     some = pair.mask & EVERY_SIXTEENTH  # enough to choose a gain from
-    return best_gain(measure, lambda gain: float(ciede2000(got[some], exposed(pair.truth[some], gain)).mean()))
+    found = best_gain(measure, lambda gain: float(ciede2000(got[some], exposed(pair.truth[some], gain)).mean()))
+    return replace(found, chroma=_chroma_error(got[pair.mask], exposed(pair.truth[pair.mask], found.gain)))
 
 
 def pair_of(section: Section, remap: str, seed: int) -> Pair:
@@ -173,8 +178,14 @@ def compare(got: dict[str, np.ndarray], true: dict[str, np.ndarray]) -> Regions:
         return ciede2000(ours, exposed(theirs, gain))
 
     seen = best_gain(lambda gain: (float(error(gain).mean()), float(error(gain).max())))
+    seen = replace(seen, chroma=_chroma_error(ours, exposed(theirs, seen.gain)))
     errors = dict(zip(got, map(float, error(seen.gain))))
     return Regions(seen, errors, _plain(got), _plain(true))
+
+
+def _chroma_error(got: np.ndarray, true: np.ndarray) -> float:
+    """Mean CIEDE2000 of (n, 3) L*a*b* with the true lightness put in."""
+    return float(ciede2000(np.concatenate([true[:, :1], got[:, 1:]], 1), true).mean())
 
 
 def best_gain(measure: Callable[[float], tuple[float, float]], rough: Callable[[float], float] | None = None) -> Seen:

@@ -10,15 +10,16 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from ..device import fast_dtype, side_by_side
 from ..features import CONTEXT_WEIGHTS
 from ..features.weights import find_weights, load_weights
 from ..io.files import write_color_volume
-from ..matching import analogy, vote
-from ..matching.fields import exact
+from ..matching import analogy, contrast_match, vote
+from ..matching.fields import exact, patches
 from ..parameters import Settings
 from ..progress import Progress, Run
 from ..run.engine import Engine
-from ..run.paint import Painter, side_by_side
+from ..run.paint import Painter
 from ..run.prepare import Prepared, prepare
 from ..volume import ColorVolume, Volume
 from . import real_volumes, suite_pipeline, work
@@ -115,6 +116,8 @@ def _one_lap(prepared: Prepared, engine: Engine) -> dict[str, float]:
         (exact.PatchSums, "_summed", "box sum"),
         (exact.PatchSums, "_multiply", "similarity product"),
         (exact, "search", "argmax"),
+        (patches, "_products", "similarity product"),
+        (patches, "search", "argmax"),
         (analogy, "_descend", "descent"),
         (vote, "matched_colors", "vote"),
     )
@@ -126,7 +129,20 @@ def _one_lap(prepared: Prepared, engine: Engine) -> dict[str, float]:
             Painter(prepared, engine, stack, each=each).add([0], matches)
         with watch.stage("writing"):
             write_color_volume(ColorVolume(stack, prepared.volume.ijk_to_ras), Path(folder) / "slice.nrrd")
-    return {stage: watch.seconds[stage] for stage in PER_SLICE if not (engine.own_features and stage == "descent")}
+    return {stage: watch.seconds[stage] for stage in PER_SLICE if stage not in _not_done(engine)}
+
+
+def _not_done(engine: Engine) -> tuple[str, ...]:
+    """Stages that MedColor's own features do not have: they have one layer, and in bfloat16 whole patches are multiplied."""
+    if not engine.own_features:
+        return ()
+    return ("descent", "box sum") if _whole_patches(engine) else ("descent",)
+
+
+def _whole_patches(engine: Engine) -> bool:
+    return engine.own_features and contrast_match.by_whole_patches(
+        fast_dtype(torch.device(engine.device)), engine.device
+    )
 
 
 def stage_work(prepared: Prepared, engine: Engine, rgb: np.ndarray) -> dict[str, work.Work]:
@@ -137,6 +153,11 @@ def stage_work(prepared: Prepared, engine: Engine, rgb: np.ndarray) -> dict[str,
         {layer: shape[2] * shape[3] for layer, shape in shapes.items()},
         {layer: _compared(engine, shape[1]) for layer, shape in shapes.items()},
     )
+    if _whole_patches(engine):
+        (shape,) = shapes.values()
+        inside = engine.slices_on_grid([0])[1].mean(), engine.references[0].mask.mean()
+        positions = [share * shape[2] * shape[3] for share in inside]
+        matching = work.patches_work(*positions, _compared(engine, shape[1]))
     if engine.own_features:
         features = work.own_work(raster, engine.extractor.context)
     else:

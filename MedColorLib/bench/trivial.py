@@ -7,6 +7,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -75,7 +76,9 @@ def _by_curve(volume: Volume, references: list, settings: Settings, make: Callab
     from ..run.prepare import prepare
     from ..scan.intensity import apply_window
 
+    start = time.perf_counter()
     prepared = prepare(volume, references, settings)
+    seconds = {"prepare": time.perf_counter() - start, "network": 0.0}
     reference = prepared.references[0]
     chosen = list(prepared.plan.slices)
     bodies = {k: prepared.body.plane(k) > 0.5 for k in chosen}
@@ -86,7 +89,8 @@ def _by_curve(volume: Volume, references: list, settings: Settings, make: Callab
     for k in chosen:
         level = np.rint(np.clip(greys[k][bodies[k]], 0, 1) * (_LEVELS - 1)).astype(np.int64)
         seen[k][bodies[k]] = table[level]
-    return ColorVolume(rgb, volume.ijk_to_ras)
+    seconds["total"] = time.perf_counter() - start
+    return ColorVolume(rgb, volume.ijk_to_ras, {"seconds": seconds})
 
 
 METHODS: dict[str, Callable[[Volume, list, Settings], ColorVolume]] = {

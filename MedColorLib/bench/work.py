@@ -8,8 +8,9 @@ position in the pairs that are matched, r the patch radius, G pixels of the rast
 | features, VGG-19 | 18 Cin Cout h w a convolution | each convolution's input, output and kernel, once |
 | features, embedded | 2 k^2 Cin Cout h w a convolution | as VGG-19's |
 | similarity product | 2 C P^2 | 8 C P, and three times 4 P^2 (written, turned into float32) |
+| the same of whole patches (own features in bfloat16) | 18 C P1 P2, P1 and P2 inside the masks | 18 C (P1 + P2) + 2 P1 P2 |
 | box sum | 4 r P^2 | two axes: a copy (8 P^2) and 2 r sums in place (12 P^2 each) |
-| argmax | 2 P^2 comparisons, both directions | four passes of 4 P^2 (two maxima, a mask read and written) |
+| argmax | 2 P^2 comparisons, both directions | four passes of 4 P^2 (two maxima, a mask read, written); of patches 4 P1 P2 |
 | colour | 96 G sums, 32 G + 32 N reading, 36 G smoothing, 60 N conversion | 1152 G + 144 N |
 | prepare, writing | not counted | the arrays read, once |
 """
@@ -83,6 +84,13 @@ def matching_work(positions: dict[int, int], channels: dict[int, int]) -> dict[s
         box = _plus(box, 4 * radius * pairs, 2 * (8 + 24 * radius) * pairs)
         argmax = _plus(argmax, 2 * pairs, 16 * pairs)
     return {"similarity product": product, "box sum": box, "argmax": argmax}
+
+
+def patches_work(count: float, count2: float, channels: int) -> dict[str, Work]:
+    """Stage -> work of the search by products of whole patches of 3 x 3. count, count2: P1, P2."""
+    pairs, numbers = count * count2, 9 * channels
+    product = Work(2 * numbers * pairs, 2 * numbers * (count + count2) + 2 * pairs, "bfloat16")
+    return {"similarity product": product, "argmax": Work(2 * pairs, 4 * pairs)}
 
 
 def color_work(raster: int, pixels: int) -> Work:

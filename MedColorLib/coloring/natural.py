@@ -31,29 +31,34 @@ def natural_lightness(own: np.ndarray, reference: np.ndarray, mask: np.ndarray, 
     """L* of a slice.
 
     Args:
-        own: (rows, cols) L* of the scan. reference: (rows, cols) R. mask: (rows, cols) bool body.
+        own: (rows, cols) L* of the scan. mask: (rows, cols) bool body.
+        reference: (n,) R of the mask's pixels, row by row.
         amount: 0 gives the scan's own, 1 the reference's with the scan's detail; between them a mixture.
 
     Returns:
-        (rows, cols) float32.
+        (n,) float32 of the mask's pixels.
     """
-    if amount == 0:
-        return own.astype(np.float32)
     own, reference = own.astype(np.float32), reference.astype(np.float32)
-    detail = own - _mean_of_tissue(own, reference, mask)
+    inside = own[mask]
+    if amount == 0:
+        return inside
+    detail = inside - _mean_of_tissue(own, reference, mask)
     natural = reference + np.float32(DETAIL_GAIN * DETAIL_LIMIT) * np.tanh(detail * np.float32(1 / DETAIL_LIMIT))
-    tissue = np.clip(_without_specks(own) * np.float32(1 / AIR_LIGHTNESS), 0, 1) * (own > 0) * np.float32(amount)
-    return own + tissue * (natural - own)
+    tissue = (
+        np.clip(_without_specks(own)[mask] * np.float32(1 / AIR_LIGHTNESS), 0, 1) * (inside > 0) * np.float32(amount)
+    )
+    return inside + tissue * (natural - inside)
 
 
 def _mean_of_tissue(own: np.ndarray, reference: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """E[own | place, reference] at every pixel."""
+    """E[own | place, reference] at the mask's pixels."""
     tissues = replace(_TISSUES, cell_px=max(1.0, _TISSUES.cell_px * max(own.shape) / _RASTER))
-    guide = reference * np.float32(2.55)
+    guide = np.zeros(own.shape, np.float32)
+    guide[mask] = reference * np.float32(2.55)
     few = (slice(None, None, _EVERY), slice(None, None, _EVERY))
     weight = mask[few].astype(np.float32)
     sums = regression.splat(own[few][..., None], guide[few], weight, tissues, every=_EVERY)
-    return regression.predict(regression.solve(sums, tissues), guide)[..., 0]
+    return regression.predict(regression.solve(sums, tissues), guide, mask=mask)[..., 0]
 
 
 def without_noise(grey: np.ndarray) -> np.ndarray:

@@ -110,24 +110,36 @@ def transfer(
     Returns:
         As `to_picture`.
     """
-    return to_picture(transfer_lab(grey, mask, match, parameters), mask)
+    return to_picture(_transferred(grey, mask, match, parameters), mask)
 
 
-def to_picture(lab: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, int, int]:
-    """L* a* b* as a picture.
+def to_picture(colors: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, int, int]:
+    """L* a* b* (n, 3) of the mask's pixels as a picture.
 
     Returns:
         (rows, cols, 3) uint8 sRGB, black outside the mask; number of pixels whose chroma was drawn into the gamut; number of
         pixels whose lightness gave way to chroma (`gamut.bend_lightness`).
     """
-    rgb = np.zeros(lab.shape, np.uint8)
-    colors, bent = bend_lightness(lab[mask])
+    rgb = np.zeros((*mask.shape, 3), np.uint8)
+    colors, bent = bend_lightness(colors)
     rgb[mask], clipped = lab_to_srgb_in_gamut(colors)
     return rgb, clipped, bent
 
 
 def transfer_lab(grey: np.ndarray, mask: np.ndarray, match: SliceMatch, parameters: TransferParameters) -> np.ndarray:
-    """`transfer` before its colours are drawn into the gamut: (rows, cols, 3) L* a* b* float64, 0 outside the mask."""
+    """`transfer` before its colours are drawn into the gamut: (rows, cols, 3) L* a* b*, 0 outside the mask."""
+    return on_plane(_transferred(grey, mask, match, parameters), mask)
+
+
+def on_plane(colors: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """Colours (n, 3) of the mask's pixels, row by row, in their places: (rows, cols, 3), 0 outside the mask."""
+    plane = np.zeros((*mask.shape, 3), colors.dtype)
+    plane[mask] = colors
+    return plane
+
+
+def _transferred(grey: np.ndarray, mask: np.ndarray, match: SliceMatch, parameters: TransferParameters) -> np.ndarray:
+    """(n, 3) L* a* b* of the mask's pixels."""
     if parameters.smoother == "regression":
         relation = solve_relation(relation_sums(match, parameters), parameters)
         rest = remainder(match, relation, parameters)
@@ -136,7 +148,7 @@ def transfer_lab(grey: np.ndarray, mask: np.ndarray, match: SliceMatch, paramete
         return combine(grey, mask, None, remainder(match, None, parameters), parameters)
     difference = _difference(match.lab, match.grey, parameters, parameters.first_channel)
     smoothed = _smoothed(from_grid(difference, grey.shape), grey, parameters)
-    return _out_of_transfer(grey, mask, smoothed, parameters, parameters.lightness)
+    return _out_of_transfer(grey, mask, smoothed[mask], parameters, parameters.lightness)
 
 
 def relation_sums(match: SliceMatch, parameters: TransferParameters) -> np.ndarray:
@@ -192,7 +204,7 @@ def combine(
     within: tuple[float, float, float, float] = regression.WHOLE,
     saturation: float = 1.0,
 ) -> np.ndarray:
-    """X + S(w (T' - X)) / S(w) at full resolution: (rows, cols, 3) L* a* b* float64, 0 outside the mask.
+    """X + S(w (T' - X)) / S(w) at full resolution: (n, 3) L* a* b* of the mask's pixels, row by row.
 
     Beside the regression the remainder counts as far as the matches around can be trusted, min(S(w), 1) times; where a grey is
     one tissue, that of natural lightness LIGHTNESS_SHARE min(S(w), 1)^2 times. S runs at half the grid's resolution: the same
@@ -204,7 +216,7 @@ def combine(
             trusted.
     """
     if relation is None:
-        smoothed = _smoothed(_resized(rest, grey.shape), grey, parameters)
+        smoothed = _smoothed(_resized(rest, grey.shape), grey, parameters)[mask]
         change = smoothed[..., :-1] / np.maximum(smoothed[..., -1:], 1e-12)
     else:
         smoothed = FILTERS["fgs"](rest, guide_of(_resized(grey, rest.shape[:2]), parameters), REMAINDER)
@@ -212,9 +224,9 @@ def combine(
         if parameters.luminance == "natural":
             trusted = np.float32(LIGHTNESS_SHARE) * np.minimum(smoothed[..., -1], 1)
             smoothed[..., 0] *= 1 - np.float32(parameters.one_tissue) * (1 - trusted)
-        change = _resized(smoothed[..., :-1] * believed, grey.shape)
+        change = _resized(smoothed[..., :-1] * believed, grey.shape)[mask]
         read = without_noise(grey) if parameters.luminance == "natural" else grey
-        guess = regression.predict(relation, 255 * _spread(read, parameters), within)
+        guess = regression.predict(relation, 255 * _spread(read, parameters), within, mask)
         change[..., -guess.shape[-1] :] += guess
     change[..., -2:] *= saturation
     return _out_of_transfer(grey, mask, change, parameters, saturation * parameters.lightness)
@@ -282,16 +294,22 @@ def _difference(matched: np.ndarray, grid_grey: np.ndarray, parameters: Transfer
 def _out_of_transfer(
     grey: np.ndarray, mask: np.ndarray, change: np.ndarray, parameters: TransferParameters, lightness: float
 ) -> np.ndarray:
-    """T_Lab + change, out of the space of the transfer, 0 outside the mask. lightness: see `natural.natural_lightness`."""
-    lab = np.zeros((*grey.shape, 3))
-    lab[..., 0] = _lightness(grey, parameters)
+    """T_Lab + change (n, channels), out of the space of the transfer, at the mask's pixels: (n, 3) L* a* b*.
+
+    Args:
+        lightness: see `natural.natural_lightness`.
+    """
+    exact = parameters.gamma or parameters.luminance != "natural"  # else float32 holds all that there is
+    lab = np.zeros((len(change), 3), np.float64 if exact else np.float32)
+    own = _lightness(grey, parameters)
     if parameters.luminance == "natural":
-        lab[..., 0] = natural_lightness(lab[..., 0], change[..., 0], mask, lightness)
-        change = change[..., 1:]
-    lab[..., 3 - change.shape[2] :] += change
+        lab[:, 0] = natural_lightness(own, change[:, 0], mask, lightness)
+        change = change[:, 1:]
+    else:
+        lab[:, 0] = own[mask]
+    lab[:, 3 - change.shape[1] :] += change
     if parameters.gamma:
         lab = srgb_to_lab(gamma_decode(np.clip(lab_to_srgb(lab), 0, 1), _GAMMA))
         if parameters.luminance == "keep":  # exact again: clipping before decoding may have moved it
-            lab[..., 0] = gray_to_lightness(grey.astype(np.float64))
-    lab[~mask] = 0
+            lab[:, 0] = gray_to_lightness(grey[mask].astype(np.float64))
     return lab

@@ -75,8 +75,11 @@ class Contrast:
 
     def _one_by_one(self, luminance: Tensor) -> Tensor:
         """Pictures side by side, each on one thread: the same bits whatever else is in the batch and however many threads."""
+        pictures = luminance[:, None].unbind()
+        if torch.get_num_threads() == 1:
+            return torch.cat([self._through(picture) for picture in pictures])
         with ThreadPoolExecutor(torch.get_num_threads(), "MedColor features") as pool, one_thread():
-            return torch.cat(list(pool.map(self._through, luminance[:, None].unbind())))
+            return torch.cat(list(pool.map(self._through, pictures)))
 
     def descriptor(self, luminance: Tensor) -> Tensor:
         """(N, 1, H, W) -> (N, 2048): the features on an 8 x 8 raster of the slice, unit length."""

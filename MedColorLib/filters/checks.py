@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import numbers
+from collections.abc import Callable, Iterator
+from itertools import islice
 
 import numpy as np
 
@@ -92,18 +94,26 @@ def float64_pair(source: np.ndarray, guide: np.ndarray) -> tuple[np.ndarray, np.
     return planes, guide64
 
 
-def checked_planes(source: np.ndarray, guide: np.ndarray) -> tuple[list[np.ndarray], np.ndarray]:
-    """Channels (H, W) of the source and the guide (H, W), all new: float32, float64 where the source has more than 32 bits.
+def checked_planes(
+    source: np.ndarray, guide: np.ndarray, arrays: Callable[..., Iterator[np.ndarray]]
+) -> tuple[list[np.ndarray], np.ndarray]:
+    """Copies of the source's channels (H, W) and of the guide (H, W): float32, float64 where the source has more than 32 bits.
 
     A guide that float32 does not hold makes all float64. Args and errors as for `float64_pair`.
+
+    Args:
+        arrays: called with a number, shape and dtype, gives the arrays to be filled: the channels', then the guide's.
     """
     values, guide_plane = _real("source", source), _real("guide", guide)
     _require_pair(source, guide, values[..., None] if values.ndim == 2 else values, guide_plane)
     wide = values.dtype.itemsize > 4 or guide_plane.dtype.itemsize > 4
     wide = wide or (guide_plane.dtype.kind != "f" and guide_plane.dtype.itemsize > 2)  # beyond 24 bits
     dtype = np.float64 if wide else np.float32
-    planes = split(np.array(values, dtype, order="C") if values.ndim == 2 else np.ascontiguousarray(values, dtype))
-    guide_plane = np.array(guide_plane, dtype, order="C")
+    channels = values.size // guide_plane.size
+    *planes, copy = islice(arrays(channels, guide_plane.shape, np.dtype(dtype)), channels + 1)
+    _split_into(planes, values.reshape(*guide_plane.shape, channels), dtype)
+    np.copyto(copy, guide_plane, casting="unsafe")  # to what has been chosen for it
+    guide_plane = copy
     for name, whole, of_it in (("source", values, planes), ("guide", guide, [guide_plane])):
         low, high = min(float(plane.min()) for plane in of_it), max(float(plane.max()) for plane in of_it)
         if not (math.isfinite(low) and math.isfinite(high) and low <= high):
@@ -121,6 +131,17 @@ def split(values: np.ndarray) -> list[np.ndarray]:
     import cv2
 
     return list(cv2.split(values))  # several times as fast
+
+
+def _split_into(planes: list[np.ndarray], values: np.ndarray, dtype: type) -> None:
+    """Copy the channels of (H, W, C) into `planes`."""
+    import cv2
+
+    if 1 < len(planes) <= _MOST_TOGETHER:
+        cv2.split(np.ascontiguousarray(values, dtype), planes)
+        return
+    for number, plane in enumerate(planes):
+        np.copyto(plane, values[..., number], casting="unsafe")
 
 
 def merged(planes: list[np.ndarray], like: np.ndarray) -> np.ndarray:

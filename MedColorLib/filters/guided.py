@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import threading
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from functools import lru_cache
+from itertools import islice
 
 import numpy as np
 
@@ -56,10 +59,40 @@ class _Windows:
         for array in (self.counts, self.squared_counts, self.shares):
             array.setflags(write=False)
 
-    def sums(self, plane: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
+    def sums(self, plane: np.ndarray, out: np.ndarray) -> np.ndarray:
         import cv2
 
         return cv2.boxFilter(plane, -1, self._side, dst=out, normalize=False, borderType=cv2.BORDER_CONSTANT)
+
+
+class _Room(threading.local):
+    """Arrays to work in that are used again by calls of one size, a set for every thread.
+
+    Fresh ones cost as much as the arithmetic: the system hands them out page by page.
+    """
+
+    _MOST_PIXELS = 1 << 20  # of larger images nothing is kept: 40 MB a thread
+    _kept: tuple[np.ndarray, ...] = ()
+
+    def arrays(self, count: int, shape: tuple[int, int], dtype: np.dtype) -> Iterator[np.ndarray]:
+        """`count` arrays of that kind; they hold anything, or what was put into them since they were asked for."""
+        kept = self._kept
+        if len(kept) != count or kept[0].shape != shape or kept[0].dtype != dtype:
+            size = shape[0] * shape[1]
+            line = np.empty((count, size + _APART), dtype)
+            kept = tuple(row[:size].reshape(shape) for row in line)
+            self._kept = kept if kept[0].size <= self._MOST_PIXELS else ()
+        return iter(kept)
+
+
+_APART = 272  # numbers between arrays: at distances of whole pages they would be in each other's way in the cache
+_ROOM = _Room()
+_SHARED = 6  # arrays beside the channels: the guide, and five to work in
+
+
+def _room(channels: int, shape: tuple[int, int], dtype: np.dtype) -> Iterator[np.ndarray]:
+    """The channels' arrays, the guide's, and five more."""
+    return _ROOM.arrays(channels + _SHARED, shape, dtype)
 
 
 @lru_cache(maxsize=4)  # slices of a volume are of few sizes
@@ -90,7 +123,7 @@ def guided_filter(source: np.ndarray, guide: np.ndarray, radius: int = 16, eps: 
     import cv2
 
     parameters = GuidedParameters(radius, eps)
-    planes, centred = checked_planes(source, guide)
+    planes, centred = checked_planes(source, guide, _room)
     centred -= centred.dtype.type(round(cv2.mean(centred)[0]))  # whole numbers stay whole
     largest = max(-float(centred.min()), float(centred.max()))
     small = all(max(-float(plane.min()), float(plane.max())) < _SINGLE_SOURCE for plane in planes)
@@ -99,7 +132,8 @@ def guided_filter(source: np.ndarray, guide: np.ndarray, radius: int = 16, eps: 
     ):
         planes, centred = [plane.astype(np.float64) for plane in planes], centred.astype(np.float64)
     result = _filtered(planes, centred, min(parameters.radius, max(centred.shape)), parameters.eps)
-    return merged(result, source).astype(output_dtype(source), copy=False)
+    # of several channels `merged` makes a new array; a single one still lies in the room
+    return merged(result, source).astype(output_dtype(source), copy=len(result) == 1)
 
 
 def _filtered(planes: list[np.ndarray], guide: np.ndarray, radius: int, eps: float) -> list[np.ndarray]:
@@ -109,21 +143,26 @@ def _filtered(planes: list[np.ndarray], guide: np.ndarray, radius: int, eps: flo
     b = (S(f) - a S(I)) / n, result (S(a) I + S(b)) / n.
     """
     windows = _windows(guide.shape, radius, guide.dtype.char)
-    guide_sums, work = windows.sums(guide), guide * guide
-    divisor = windows.sums(work)
+    guide_sums, work, divisor, of_product, slope = islice(
+        _room(len(planes), guide.shape, guide.dtype), len(planes) + 1, None
+    )
+    np.multiply(guide, guide, out=work)
+    windows.sums(guide, guide_sums)
+    windows.sums(work, divisor)
     divisor *= windows.counts
     divisor -= np.multiply(guide_sums, guide_sums, out=work)
     np.maximum(divisor, 0, out=divisor)
     divisor += np.multiply(windows.squared_counts, guide.dtype.type(eps), out=work)
-    of_product = windows.counts / divisor
+    np.divide(windows.counts, divisor, out=of_product)
     guide_sums *= -1
     of_sum = np.divide(guide_sums, divisor, out=divisor)
-    spare = work, np.empty_like(guide)
-    return [_filtered_plane(plane, guide, windows, (guide_sums, of_product, of_sum), spare) for plane in planes]
+    for plane in planes:
+        _filter_plane(plane, guide, windows, (guide_sums, of_product, of_sum), (work, slope))
+    return planes
 
 
-def _filtered_plane(plane: np.ndarray, guide: np.ndarray, windows: _Windows, shared: tuple, spare: tuple) -> np.ndarray:
-    """One channel, which is overwritten, with what all channels share and two arrays to work in; formulas in `_filtered`."""
+def _filter_plane(plane: np.ndarray, guide: np.ndarray, windows: _Windows, shared: tuple, spare: tuple) -> None:
+    """One channel, in place, with what all channels share and two arrays to work in; formulas in `_filtered`."""
     import cv2
 
     (minus_guide_sums, of_product, minus_of_sum), (sums, slope) = shared, spare
@@ -136,12 +175,11 @@ def _filtered_plane(plane: np.ndarray, guide: np.ndarray, windows: _Windows, sha
     cv2.accumulateProduct(sums, minus_of_sum, slope)
     cv2.accumulateProduct(slope, minus_guide_sums, sums)
     sums *= windows.shares  # the offset
-    result = windows.sums(sums)
-    windows.sums(slope, plane)
-    cv2.accumulateProduct(plane, guide, result)
-    result *= windows.shares
-    result += mean
-    return result
+    windows.sums(sums, plane)
+    windows.sums(slope, sums)
+    cv2.accumulateProduct(sums, guide, plane)
+    plane *= windows.shares
+    plane += mean
 
 
 def smooth(source: np.ndarray, guide: np.ndarray, parameters: GuidedParameters | None = None) -> np.ndarray:

@@ -73,22 +73,39 @@ def solve(sums: np.ndarray, parameters: RegressionParameters) -> np.ndarray:
     return np.ascontiguousarray(np.moveaxis(_shrink(planes, support, parameters.levels), 0, -1))
 
 
-def predict(model: np.ndarray, guide: np.ndarray, within: tuple[float, float, float, float] = WHOLE) -> np.ndarray:
-    """Read the grid at every pixel of `guide` (h, w), whose size may differ from the one fitted: (h, w, C) float32."""
+def predict(
+    model: np.ndarray,
+    guide: np.ndarray,
+    within: tuple[float, float, float, float] = WHOLE,
+    mask: np.ndarray | None = None,
+) -> np.ndarray:
+    """Read the grid at every pixel of `guide` (h, w), whose size may differ from the one fitted: (h, w, C) float32.
+
+    Args:
+        mask: (h, w) bool: read only there; returns (n, C), row by row.
+    """
     import torch
 
     volume = torch.from_numpy(np.ascontiguousarray(model)).permute(3, 2, 0, 1)[None]  # (1, C, bins, rows, cols)
     axes = zip(_positions(guide.shape, model.shape[:2], within), model.shape[:2])
     y, x = (torch.from_numpy(at * (2 / (count - 1)) - 1).float() for at, count in axes)
+    values = guide if mask is None else guide[mask]
+    if not values.size:
+        return np.zeros((0, model.shape[-1]), np.float32)
     parts = torch.get_num_threads()  # grid_sample gives every thread whole samples: one picture would take one thread
-    where = torch.empty(guide.size + -guide.size % parts, 3)
-    where[guide.size :] = 0
-    place = where[: guide.size].view(*guide.shape, 3)
-    place[..., 0], place[..., 1] = x, y[:, None]
-    place[..., 2] = torch.from_numpy(np.clip(guide, 0, 255).astype(np.float32)) * (2 / 255) - 1
+    where = torch.empty(values.size + -values.size % parts, 3)
+    where[values.size :] = 0
+    if mask is None:
+        place = where[: values.size].view(*guide.shape, 3)
+        place[..., 0], place[..., 1] = x, y[:, None]
+    else:
+        place = where[: values.size]
+        rows, cols = (torch.from_numpy(at) for at in np.divmod(np.flatnonzero(mask), guide.shape[1]))
+        place[:, 0], place[:, 1] = x[cols], y[rows]
+    place[..., 2] = torch.from_numpy(np.clip(values, 0, 255).astype(np.float32)) * (2 / 255) - 1
     where, volumes = where.view(parts, 1, 1, -1, 3), volume.expand(parts, -1, -1, -1, -1)
     out = torch.nn.functional.grid_sample(volumes, where, mode="bilinear", padding_mode="border", align_corners=True)
-    return out.movedim(1, -1).reshape(-1, volume.shape[1])[: guide.size].reshape(*guide.shape, -1).numpy()
+    return out.movedim(1, -1).reshape(-1, volume.shape[1])[: values.size].reshape(*values.shape, -1).numpy()
 
 
 def splat(

@@ -7,7 +7,8 @@ blend them with the layer's own features, match again. All slices of a batch go 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
 
 import torch
 from torch import Tensor
@@ -47,6 +48,21 @@ class Match:
     reverse: Tensor | None
     searched: dict[int, str]
     likeness: Tensor | None = None
+
+    def parts(self) -> list[Match]:
+        """The same, slice by slice."""
+        return [self._of_tensors(lambda tensor, n=n: tensor[n : n + 1]) for n in range(len(self.field))]
+
+    def _of_tensors(self, change: Callable[[Tensor], Tensor]) -> Match:
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        return Match(**{name: change(v) if isinstance(v, Tensor) else v for name, v in values.items()})
+
+
+def joined(parts: Sequence[Match]) -> Match:
+    """The inverse of `Match.parts`."""
+    first, *_ = parts
+    names = [field.name for field in fields(first) if isinstance(getattr(first, field.name), Tensor)]
+    return replace(first, **{name: torch.cat([getattr(part, name) for part in parts]) for name in names})
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..device import Each
 from ..scan.grid import Grid, to_grid
 from ..scan.intensity import apply_curve, histogram_match_curve
 from .coarse import LAYER, mean_inside
@@ -87,19 +88,22 @@ def choose_way(greys: np.ndarray, masks: np.ndarray, reference_grey: np.ndarray,
     return find_way(greys, masks, reference_grey, reference_mask).way
 
 
-def find_way(greys: np.ndarray, masks: np.ndarray, reference_grey: np.ndarray, reference_mask: np.ndarray) -> Lie:
+def find_way(
+    greys: np.ndarray, masks: np.ndarray, reference_grey: np.ndarray, reference_mask: np.ndarray, each: Each = map
+) -> Lie:
     """Find out how the reference lies.
 
     Args:
         greys: (S, H, W) 0..1 on a square grid; masks: (S, H, W) bool. reference_grey, reference_mask: (H, W) on the grid.
+        each: how ways and slices are looked at, which do not depend on each other; see `device.side_by_side`.
     """
     if not reference_mask.any() or not masks.any():
         return Lie("as it is", 0.0, dict.fromkeys(WAYS, 0.0))
     slices = [main_part(*one) for one in zip(*_some(greys, masks))]
     photograph = main_part(reference_grey, reference_mask)
-    scores = _scores(slices, (photograph, inner_part(*photograph)))
-    upright = np.median([symmetry(*one) for one in slices])
-    own = symmetry(*photograph)
+    scores = _scores(slices, (photograph, inner_part(*photograph)), each)
+    *symmetries, own = each(symmetry, *zip(*slices, photograph))
+    upright = np.median(symmetries)
     agreement = _SYMMETRY * min(abs(upright), abs(own), _MOST_SYMMETRY) * np.sign(upright * own)
     for way, (quarters, _) in WAYS.items():
         scores[way] += float(agreement if quarters % 2 == 0 else -agreement)
@@ -198,15 +202,16 @@ def _some(greys: np.ndarray, masks: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     return greys[chosen], masks[chosen]
 
 
-def _scores(slices: Sequence[tuple], photographs: Sequence[tuple]) -> dict[str, float]:
+def _scores(slices: Sequence[tuple], photographs: Sequence[tuple], each: Each) -> dict[str, float]:
     """Similarity of each way, with that part of the photograph that is most like the slices."""
     greys, masks = (np.stack(values) for values in zip(*slices))
     found = []
     for grey, mask in photographs:
         target = _features(_in_contrast(greys, masks, grey, mask))
-        each = np.stack([_similarities(target, masks, turned(grey, way), turned(mask, way)) for way in WAYS])
-        like = np.argsort(-each.max(axis=0), kind="stable")[: -(-each.shape[1] // 2)]
-        found.append(dict(zip(WAYS, ((each.mean(axis=1) + each[:, like].mean(axis=1)) / 2).tolist())))
+        photographs_turned = ((turned(grey, way), turned(mask, way)) for way in WAYS)
+        alike = np.stack(list(each(lambda turn, t=target: _similarities(t, masks, *turn), photographs_turned)))
+        like = np.argsort(-alike.max(axis=0), kind="stable")[: -(-alike.shape[1] // 2)]
+        found.append(dict(zip(WAYS, ((alike.mean(axis=1) + alike[:, like].mean(axis=1)) / 2).tolist())))
     return max(found, key=lambda scores: max(scores.values()))
 
 

@@ -62,7 +62,7 @@ def grey_tells_tissue(grey: np.ndarray) -> float:
     return float(np.clip((high - share) / (high - low), 0, 1))
 
 
-def support_px(grey: np.ndarray, contrast_trust: float) -> float:
+def support_px(grey_tells: float, contrast_trust: float) -> float:
     """How much evidence a neighbourhood needs before its colours of a grey count beside those of the whole slice.
 
     MANY_PX where grey tells tissue but the matches show no relation of grey to colour, as for MR of brains: what single
@@ -70,9 +70,9 @@ def support_px(grey: np.ndarray, contrast_trust: float) -> float:
     3.4 and 5.5 with FEW_PX, 1.8 and 3.1 with MANY_PX.
 
     Args:
-        grey: (n,) display grey 0..1 inside the body. contrast_trust: `contrast.Contrast.trust`.
+        grey_tells: 0..1, `grey_tells_tissue` of the whole scan. contrast_trust: `contrast.Contrast.trust`.
     """
-    return FEW_PX + (MANY_PX - FEW_PX) * grey_tells_tissue(grey) * (1 - contrast_trust)
+    return FEW_PX + (MANY_PX - FEW_PX) * grey_tells * (1 - contrast_trust)
 
 
 def _levels(grey: np.ndarray, lab: np.ndarray) -> list[np.ndarray]:

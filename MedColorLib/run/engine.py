@@ -4,30 +4,31 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..device import one_thread
 from ..features import CONTEXT_WEIGHTS, unit_descriptors
 from ..features.components import PROJECTED_LAYERS, kept_energy, principal_components, project
 from ..features.kept import reference_features
+from ..matching.analogy import joined
 from ..matching.assignment import assign
 from ..matching.blending import blended, neighbours
-from ..matching.orientation import SURE, Lie, common_way, find_way, turned
-from ..matching.tissue_guard import colors_on_grid
+from ..matching.orientation import SURE, Lie, common_way, find_way
 from ..parameters import PRESETS
 from ..progress import Run
-from ..references.photograph import Reference, on_grid
-from ..scan.grid import Grid
 from ..scan.intensity import apply_curve, spreading_curve
 from ..scan.slices import sample_slices, slice_in_box, slice_on_grid
 from .doubts import reference_warnings
+from .on_grid import ReferenceFeatures, ReferenceOnGrid, WithinGroups
 from .prepare import Prepared
 
 if TYPE_CHECKING:
     from torch import Tensor
 
+    from ..device import Each
     from ..matching.analogy import Match
     from .resume import RunStore
 
@@ -40,115 +41,28 @@ TELLING_SLICES, TELLING_PX = 24, 64  # of the whole scan, of a side: in them gre
 MANY_REFERENCES = 7  # more are taken for one series, whose pictures all lie the same way
 
 
-class ReferenceOnGrid:
-    """A reference brought to the grid; its features are computed when a slice first needs them."""
-
-    def __init__(self, reference: Reference, grid: Grid, groups: np.ndarray | None = None) -> None:
-        """Args:
-        groups: (h, w) uint8 tissue groups of the picture, or None; see `guard`.
-        """
-        self.name = reference.name
-        self.grey, self.lab, self.mask = on_grid(reference, grid)
-        self.groups = None
-        if groups is not None:
-            self.lab, self.groups = colors_on_grid(groups, reference, grid, self.mask)
-        self.lie: Lie | None = None
-        self.contrast = self.usual = self.support_px = None
-
-    @property
-    def way(self) -> str:
-        """How the picture lies; see `orientation`."""
-        return self.lie.way if self.lie else "as it is"
-
-    def turn(self, lie: Lie) -> None:
-        """Bring a picture that lies so upright; the grid is square, so that any turn stays on it."""
-        self.lie, way = lie, lie.way
-        if way == "as it is":
-            return
-        self.grey, self.lab, self.mask = (turned(values, way) for values in (self.grey, self.lab, self.mask))
-        if self.groups is not None:
-            self.groups = turned(self.groups, way)
-
-
-@dataclass(frozen=True)
-class ReferenceFeatures:
-    """What matching needs of a reference, on the device.
-
-    Attributes:
-        layers: features by layer, as components where `bases` has the layer; see `features.components`.
-        luminance: (1, 1, H, W) grey. mask: (H, W).
-    """
-
-    layers: dict
-    bases: dict
-    luminance: Tensor
-    mask: Tensor
-
-
-class WithinGroups:
-    """A batch of slices and one reference whose matches stay inside tissue groups; see `guard`.
-
-    A pixel for which no vote of its own group is found takes its group's mean colour, which counts so little that every
-    match nearby outweighs it.
-    """
-
-    def __init__(self, groups, masks, reference: ReferenceOnGrid, missing: Sequence[int], count: int, device) -> None:
-        """Args:
-        groups: (N, H, W) uint8, masks: (N, H, W) bool of the slices. missing: groups that the reference lacks; they are
-            matched freely. count: number of groups.
-        """
-        self._groups, self._masks, self._reference = groups, masks, reference
-        self._free = np.isin(groups, missing)
-        self._count, self._device = count, device
-
-    def channels(self) -> tuple[Tensor, Tensor]:
-        """`Context.groups`."""
-        return tuple(
-            self._tensor((groups[:, None] == np.arange(self._count)[:, None, None]) & mask[:, None]).float()
-            for groups, mask in (
-                (self._groups, self._masks),
-                (self._reference.groups[None], self._reference.mask[None]),
-            )
-        )
-
-    def colors(self, found: Match, lab: Tensor) -> tuple[Tensor, Tensor]:
-        """T' (N, 3, H, W), and (N, H, W) bool where a vote of the own group was found."""
-        from ..matching.vote import matched_within_groups
-
-        own = self._tensor(np.where(self._free, -1, self._groups.astype(np.int64)))
-        other = self._tensor(self._reference.groups.astype(np.int64))
-        return matched_within_groups(found.field, found.layer, lab, own, other)
-
-    def completed(self, lab: np.ndarray, unvoted: np.ndarray) -> np.ndarray:
-        """Matched colours (N, H, W, 3) with the group's mean colour where no vote was found."""
-        lab = lab.copy()
-        for index in np.unique(self._groups[unvoted]):
-            mean = self._reference.lab[self._reference.mask & (self._reference.groups == index)].mean(axis=0)
-            lab[unvoted & (self._groups == index)] = mean
-        return lab
-
-    def _tensor(self, values: np.ndarray) -> Tensor:
-        import torch
-
-        return torch.from_numpy(values).to(self._device)
-
-
 class Engine:
     """The network, the references' features and the contrast curves: everything that slices share."""
 
-    def __init__(self, prepared: Prepared, run: Run, store: RunStore | None = None) -> None:
+    def __init__(self, prepared: Prepared, run: Run, store: RunStore | None = None, each: Each = map) -> None:
+        """Args:
+        each: how slices are matched that do not depend on each other; see `device.side_by_side`.
+        """
         from ..features import make_extractor
         from ..matching.reconstruction import make_reconstruction
 
         self.prepared, self.run, self.store = prepared, run, store
+        self._each = each
         self.settings, self.grid, self.device = prepared.settings, prepared.grid, prepared.plan.device
         preset = PRESETS[self.settings.preset]
         self.stop_layer, self.uses_context = preset.stop_layer, preset.context
         self.components = self.settings.components
         self.own_features = prepared.plan.features == "embedded"
+        self.apart = (
+            self.own_features and self.device == "cpu"
+        )  # each slice on a thread; a large network takes them together
         self.layers = (OWN_LAYER,) if self.own_features else tuple(range(5, self.stop_layer - 1, -1))
         self.grey_tells = self._grey_tells()
-
         self.extractor = make_extractor(prepared.plan.features, self.device)
         self.reconstruct = make_reconstruction(self.settings.reconstruction, self.extractor)
         pictures = prepared.groups.pictures if prepared.groups else (None,) * len(prepared.references)
@@ -157,7 +71,10 @@ class Engine:
         self._features: dict[int, ReferenceFeatures] = {}
         self.kept: dict[int, bool] = {}
         self.energy: dict[int, dict[int, float]] = {}  # reference -> layer -> share of the features in their components
-        with run.timed("orientation"):
+        with (
+            run.timed("orientation"),
+            one_thread(),
+        ):  # small arrays: what does not depend on each other goes through `each`
             self._turn_references()
         self.choice = self._choose_references()
         self.reference_warnings = reference_warnings(prepared, self.references, self.choice)
@@ -247,37 +164,46 @@ class Engine:
 
     def _match_one(self, ks: Sequence[int], index: int):
         """Match slices with one reference, or take up what an interrupted run kept in `store`."""
+        self.features_of(index)  # before slices are matched side by side
+        store = self.store
+        stored = store.load(ks, index, self.device) if store else None
+        parts = [[k] for k in ks] if self.apart else [ks]
+        known = [None] * len(parts) if stored is None else stored.parts() if self.apart else [stored]
+        with self.run.shared_out():
+            done = (self._each if self.apart else map)(self._match_part, parts, [index] * len(parts), known)
+            found, greys, masks, labs, trusts = zip(*done)
+        if store and not stored:
+            store.save(ks, index, joined(found))
+        self.searched = found[0].searched
+        return np.concatenate(greys), np.concatenate(masks), np.concatenate(labs), [t for part in trusts for t in part]
 
+    def _match_part(self, ks: Sequence[int], index: int, stored: Match | None) -> tuple:
+        """The match of some slices, and what `match` returns; on a thread of its own where slices are matched side by side."""
         from ..matching.vote import matched_colors
 
-        reference, store = self.references[index], self.store
-        greys, masks = self.slices_on_grid(ks)
-        matched = apply_curve(greys, reference.contrast.curve) * masks
-        stored = store.load(ks, index, self.device) if store else None
+        reference = self.references[index]
+        with self.run.timed("matching"):
+            greys, masks = self.slices_on_grid(ks)
+            matched = apply_curve(greys, reference.contrast.curve) * masks
         within = None if reference.groups is None else self._within(ks, index, masks)
         found = stored or self._correspondence(index, greys * masks, matched, masks, within)
-        self.searched = found.searched
         with self.run.timed("matching"):
             own_lab = self._on_device(reference.lab)
             if within is None:
                 lab = matched_colors(found.field, found.layer, own_lab)
             else:
                 lab, voted = within.colors(found, own_lab)
-        if store and not stored:
-            store.save(ks, index, found)
-        lab = lab.permute(0, 2, 3, 1).float().cpu().numpy()
-        unvoted = None
-        if within is not None:
-            unvoted = masks & ~voted.cpu().numpy()
-            lab = within.completed(lab, unvoted)
-            for k, mask, without in zip(ks, masks, unvoted):
-                self.unmatched[k] = max(self.unmatched.get(k, 0.0), float(without.sum() / max(mask.sum(), 1)))
-        trusts = (
-            self._trusts(found, reference, matched, masks, greys, lab, unvoted)
-            if self.reads_trust
-            else [None] * len(ks)
-        )
-        return greys, masks, lab, trusts
+            lab = lab.permute(0, 2, 3, 1).float().cpu().numpy()
+            unvoted = None
+            if within is not None:
+                unvoted = masks & ~voted.cpu().numpy()
+                lab = within.completed(lab, unvoted)
+                for k, mask, without in zip(ks, masks, unvoted):
+                    self.unmatched[k] = max(self.unmatched.get(k, 0.0), float(without.sum() / max(mask.sum(), 1)))
+            trusts = [None] * len(ks)
+            if self.reads_trust:
+                trusts = self._trusts(found, reference, matched, masks, greys, lab, unvoted)
+        return found, greys, masks, lab, trusts
 
     def _on_device(self, lab: np.ndarray) -> Tensor:
         """(H, W, 3) -> (1, 3, H, W) float32."""
@@ -383,13 +309,14 @@ class Engine:
     def _lies(self, references: Sequence[ReferenceOnGrid]) -> list[Lie]:
         """How each lies: seen from the slices asked for and, where these do not tell, from those near them, too."""
         greys, masks = self.slices_on_grid(sample_slices(self.prepared.plan.slices))
-        lies = [find_way(greys, masks, r.grey, r.mask) for r in references]
+        lies = [find_way(greys, masks, r.grey, r.mask, self._each) for r in references]
         near = self._slices_near()
         if all(lie.margin > SURE for lie in lies) or len(near) == len(self.prepared.plan.slices):
             return lies
         greys, masks = self.slices_on_grid(sample_slices(near))
         others = [
-            lie if lie.margin > SURE else find_way(greys, masks, r.grey, r.mask) for lie, r in zip(lies, references)
+            lie if lie.margin > SURE else find_way(greys, masks, r.grey, r.mask, self._each)
+            for lie, r in zip(lies, references)
         ]
         return [max(both, key=lambda lie: lie.margin) for both in zip(lies, others)]
 
@@ -450,14 +377,17 @@ class Engine:
 
         reference = self.references[index]
         own_lab = self._on_device(reference.lab)
-        fields = [self._own_match(index, (g * m)[None], m[None]).field for g, m in zip(greys, masks)]
-        seen = np.concatenate([seen_luminance(reference.grey, field, OWN_LAYER) for field in fields])
-        colors = [
-            matched_colors(field, OWN_LAYER, own_lab).permute(0, 2, 3, 1).float().cpu().numpy() for field in fields
-        ]
+
+        def matched(grey: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            field = self._own_match(index, (grey * mask)[None], mask[None]).field
+            colors = matched_colors(field, OWN_LAYER, own_lab).permute(0, 2, 3, 1).float().cpu().numpy()
+            return seen_luminance(reference.grey, field, OWN_LAYER)[0], colors[0]
+
+        each = self._each if self.apart else map
+        seen, colors = (np.stack(values) for values in zip(*each(matched, greys, masks)))
         reference.contrast = seen_contrast(greys, masks, seen)
-        reference.usual = usual_colors(greys[masks], np.concatenate(colors)[masks])
-        reference.support_px = support_px(greys[masks], reference.contrast.trust)
+        reference.usual = usual_colors(greys[masks], colors[masks])
+        reference.support_px = support_px(self.grey_tells, reference.contrast.trust)
 
     def _smoother_options(self) -> dict | None:
         """The settings' options, and for the regression the support that the scan asks for."""

@@ -14,6 +14,7 @@ from .expected_error import LEAST_TRUSTED, NOT_MEASURED, ExpectedError, expected
 
 if TYPE_CHECKING:
     from ..matching.tissue_guard import Guard
+    from .prepare import Prepared
 
 PROBES = 3
 
@@ -63,30 +64,32 @@ class Estimate:
 def estimate(
     volume: Volume, references: Sequence, settings: Settings | None = None, guard: Guard | None = None
 ) -> Estimate:
-    """Colour the middle slice a few times and extrapolate; takes about as long as five slices.
+    """Colour the middle slice, or the middle slices side by side, a few times and extrapolate; takes as long as five slices.
 
     Raises:
         As `colorize`.
     """
+    from ..device import side_by_side
     from ..progress import Run
     from .engine import Engine
-    from .paint import Painter, side_by_side
+    from .paint import Painter
     from .prepare import prepare
 
     started = time.perf_counter()
     prepared = prepare(volume, references, settings or Settings(), guard=guard)
     slices = prepared.plan.slices
     middle = slices[len(slices) // 2]
-    single = replace(prepared, plan=replace(prepared.plan, slices=(middle,)), repeats={})
-    engine = Engine(single, Run(None, None))
-    overhead = time.perf_counter() - started
-    probes = []
-    for _ in range(PROBES + 1):  # the first warms up and does not count
-        start = time.perf_counter()
-        with side_by_side() as each:
-            painter = Painter(single, engine, None, each=each)
-            painter.add([middle], engine.match([middle], engine.choice[middle]))
-        probes.append(time.perf_counter() - start)
+    with side_by_side() as each:
+        some = replace(prepared, plan=replace(prepared.plan, slices=_around(middle, prepared)), repeats={})
+        engine = Engine(some, Run(None, None), each=each)
+        overhead = time.perf_counter() - started
+        together = [k for k in some.plan.slices if engine.references_of(k) == engine.references_of(middle)]
+        probes = []
+        for _ in range(PROBES + 1):  # the first warms up and does not count
+            start = time.perf_counter()
+            painter = Painter(replace(some, plan=replace(some.plan, slices=tuple(together))), engine, None, each=each)
+            painter.add(together, engine.match(together, engine.choice[middle]))
+            probes.append((time.perf_counter() - start) / len(together))
     probes = sorted(probes[1:])
     count = len(slices) - len(prepared.repeats)
     median = probes[len(probes) // 2]
@@ -103,6 +106,17 @@ def estimate(
         painter.trusted.get(middle),
         LEAST_TRUSTED.get(features),
     )
+
+
+def _around(middle: int, prepared: Prepared) -> tuple[int, ...]:
+    """The slices that are probed: as many as are matched side by side, each on a thread; a large network takes one."""
+    import torch
+
+    count = 1
+    if prepared.plan.features == "embedded" and prepared.plan.device == "cpu":
+        count = min(prepared.settings.batch, torch.get_num_threads())
+    first = max(0, prepared.plan.slices.index(middle) - count // 2)
+    return prepared.plan.slices[first : first + count]
 
 
 def _human(seconds: float) -> str:

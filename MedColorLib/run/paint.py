@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import zip_longest
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..device import Each
 from ..scan.grid import from_grid
 from .engine import Engine
 from .prepare import Prepared
@@ -18,27 +17,7 @@ from .prepare import Prepared
 if TYPE_CHECKING:
     from ..coloring.transfer import SliceMatch, TransferParameters
 
-Map = Callable[..., Iterator]  # like the built-in `map`
 _NOTHING = np.zeros((), np.float32)  # evidence of a group that a slice does not have
-
-
-@contextmanager
-def side_by_side() -> Iterator[Map]:
-    """A `map` for the slices of a batch, each on a thread of its own; torch, too, has one thread for each.
-
-    Their arrays are too small to be worth several threads each. The result does not depend on the number of threads.
-    """
-    import torch
-
-    from ..device import one_thread
-
-    with ThreadPoolExecutor(torch.get_num_threads(), "MedColor colour") as pool:
-
-        def each(function, *arguments):
-            with one_thread():
-                return list(pool.map(function, *arguments))
-
-        yield each
 
 
 class PaintedMasks:
@@ -68,12 +47,12 @@ class Painter:
         engine: Engine,
         stack: np.ndarray | None,
         confidence: np.ndarray | None = None,
-        each: Map = map,
+        each: Each = map,
     ) -> None:
         """Args:
         stack: (slice, row, col, 3) uint8 to be filled, in the order of the stack; None colours for nothing (a probe).
         confidence: (slice, row, col) uint8 to be filled with per cent, or None.
-        each: how work on several slices is done that do not depend on each other; see `side_by_side`.
+        each: how work on several slices is done that do not depend on each other; see `device.side_by_side`.
         """
         from ..coloring.coherence import SliceAverage, frames
         from ..coloring.transfer import TransferParameters
@@ -163,16 +142,19 @@ class Painter:
         grey, mask = self._engine.slice_in_box(k)[0], self._engine.painted_in_box(k)
         kept = self.saturation[k]
         groups = None if self._groups is None else self._groups.in_box(k, self._boxes[k])
-        lab, uncolored = np.zeros((*grey.shape, 3)), 0
+        colors, uncolored = np.zeros((np.count_nonzero(mask), 3)), 0
         for name, (_, relation, rest) in zip(self._evidence, ready):
             own = mask if groups is None else mask & (groups == name)
             if groups is not None and not own.any():
                 continue
-            # each is 0 outside its own pixels
-            lab += combine(grey, own, relation, rest, self._parameters, self._frames[k], kept)
-            if groups is not None and not rest[..., -1].any():
+            found = combine(grey, own, relation, rest, self._parameters, self._frames[k], kept)
+            if groups is None:
+                colors = found
+                continue
+            colors[own[mask]] = found
+            if not rest[..., -1].any():
                 uncolored += int(np.count_nonzero(own))
-        return k, *to_picture(lab, mask), uncolored
+        return k, *to_picture(colors, mask), uncolored
 
     def _color_alone(self, k: int, match: SliceMatch) -> tuple[int, np.ndarray, int, int, int]:
         """`_color` from the slice's own match."""
@@ -212,7 +194,7 @@ class Evidence:
         self._known: dict[int, np.ndarray | None] = {}
 
     def add(
-        self, matches: dict[int, tuple[SliceMatch, bool]], each: Map
+        self, matches: dict[int, tuple[SliceMatch, bool]], each: Each
     ) -> list[tuple[int, np.ndarray | None, np.ndarray]]:
         """Add slices; returns (slice, relation, remainder) as `transfer.combine` takes them, for each that is complete now.
 

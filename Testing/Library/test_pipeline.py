@@ -18,9 +18,9 @@ from MedColorLib import Settings, Volume, colorize
 from MedColorLib.color.difference import ciede2000
 from MedColorLib.color.lab import gray_to_lightness, srgb_to_lab
 from MedColorLib.errors import Cancelled, DeviceError, InputError, MemoryTooSmall, OutputError
-from MedColorLib.matching import vote
 from MedColorLib.phantom import section
 from MedColorLib.report import write_report
+from MedColorLib.run.engine import Engine
 from MedColorLib.run.prepare import load_references, prepare
 
 pytestmark = pytest.mark.usefixtures("small_raster")
@@ -238,14 +238,14 @@ class TestProgressAndCancel:
 
 class TestMemory:
     def short_of_memory(self, monkeypatch, limit, error=None):
-        matched_colors = vote.matched_colors
+        matched = Engine._match_one
 
-        def limited(field, *rest):
-            if len(field) > limit:
+        def limited(engine, ks, index):
+            if len(ks) > limit:
                 raise error or torch.cuda.OutOfMemoryError("CUDA out of memory")
-            return matched_colors(field, *rest)
+            return matched(engine, ks, index)
 
-        monkeypatch.setattr(vote, "matched_colors", limited)
+        monkeypatch.setattr(Engine, "_match_one", limited)
 
     def test_smaller_batches_where_memory_is_short(self, ct, colored, monkeypatch, caplog):
         self.short_of_memory(monkeypatch, 1)

@@ -137,7 +137,7 @@ def _search_one(
         forward.append(_largest_of_rows(block))
         if both:
             block.add_(row_penalty.view(-1, 1)[first * w : first * w + len(block)])
-            _raise_largest_of_columns(block, first * w, best, position)
+            raise_largest_of_columns(block, first * w, best, position)
     if both:  # positions where no match may lie take the first allowed row: what is warped there looks like nothing
         first_row = target_mask.reshape(-1).to(torch.uint8).argmax()
         position = torch.where(penalty < 0, first_row, position)
@@ -157,7 +157,7 @@ def _largest_of_rows(block: Tensor) -> tuple[Tensor, Tensor]:
     return values, group * side + inside
 
 
-def _raise_largest_of_columns(block: Tensor, offset: int, best: Tensor, position: Tensor) -> None:
+def raise_largest_of_columns(block: Tensor, offset: int, best: Tensor, position: Tensor) -> None:
     """Where a column has a number above `best`, put it there, and its row (+ offset) into `position`.
 
     The best group of rows first; the row inside only for columns that have improved: all of them in the first block (a

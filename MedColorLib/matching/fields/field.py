@@ -84,22 +84,23 @@ def group_vote(
 def _votes(values: Tensor, field: Tensor, radius: int, scale: int, groups: tuple[Tensor, Tensor] | None = None):
     """Sum of the votes and, last, their number: (N, C + 1, H, W)."""
     count, height, width = field.shape
-    rows2, cols2 = values.shape[2:]
-    nowhere = rows2 * cols2
-    table = pad(values.flatten(2).transpose(1, 2), (0, 1), value=1.0)  # a vote each, and none from nowhere
-    table = pad(table, (0, 0, 0, 1)).flatten(0, 1)
-    first = (nowhere + 1) * torch.arange(count, device=field.device).view(-1, 1, 1) if len(values) > 1 else 0
-    other_groups = None if groups is None else pad(groups[1].flatten(), (0, 1), value=-1)
+    cols2 = values.shape[3]
+    edge = (
+        radius + scale - 1
+    )  # around the other side, where nothing votes: no vote needs to be asked whether it falls off
+    table = pad(pad(values, (0, 0, 0, 0, 0, 1), value=1.0), (edge,) * 4)  # a vote each
+    line = cols2 + 2 * edge
+    other_groups = None if groups is None else pad(groups[1], (edge,) * 4, value=-1).flatten()
     coarse_cols = -(-cols2 // scale)
-    row, col = scale * (field // coarse_cols), scale * (field % coarse_cols)
+    start = (scale * (field // coarse_cols) + edge) * line + scale * (field % coarse_cols) + edge
+    first = table[0, 0].numel() * torch.arange(count, device=field.device).view(-1, 1, 1) if len(values) > 1 else 0
+    table = table.permute(0, 2, 3, 1).contiguous().flatten(0, 2)
     total = values.new_zeros(count, scale * height, scale * width, table.shape[1])
     across = _blocks_around(width, scale, radius, field.device)
     for block_y, offset_y, times_y in _blocks_around(height, scale, radius, field.device):
+        rows = start[:, block_y] + (line * offset_y)[:, None]
         for block_x, offset_x, times_x in across:
-            y = row[:, block_y][:, :, block_x] + offset_y[:, None]
-            x = col[:, block_y][:, :, block_x] + offset_x
-            inside = (y >= 0) & (y < rows2) & (x >= 0) & (x < cols2)
-            index = torch.where(inside, y * cols2 + x, nowhere)
+            index = rows[:, :, block_x] + offset_x
             times = (times_y[:, None] * times_x).to(values.dtype).expand(index.shape)
             if groups is not None:
                 times = times * ((other_groups[index] == groups[0]) | (groups[0] < 0))

@@ -47,7 +47,7 @@ class TestDrawn:
 
 class TestRegions:
     def test_equal_colours_have_no_error(self):
-        assert seen.compare(FOUR, FOUR).seen == seen.Seen(0, 0, 1, 0, 0)
+        assert seen.compare(FOUR, FOUR).seen == seen.Seen(0, 0, 1, 0, 0, chroma=0)
 
     def test_a_gain_in_linear_light_is_found_and_costs_nothing(self):
         brighter = {name: seen.exposed(lab, 1.5) for name, lab in FOUR.items()}

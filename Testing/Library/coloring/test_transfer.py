@@ -206,7 +206,8 @@ class TestTrust:
         relation = solve_relation(relation_sums(match, parameters), parameters) if smoother == "regression" else None
         rest = remainder(match, relation, parameters)
         lab = combine(grey, mask, relation, rest, parameters, saturation=0.0)
-        assert np.abs(lab[..., 1:]).max() == 0 and lab[mask, 0].max() > 50
+        assert lab.shape == (np.count_nonzero(mask), 3)
+        assert np.abs(lab[:, 1:]).max() == 0 and lab[:, 0].max() > 50
 
 
 @pytest.mark.parametrize("smoother", SMOOTHERS)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 import torch
@@ -205,3 +207,19 @@ class TestGuided:
             np.testing.assert_array_equal(whole[..., channel], guided_filter(source[..., channel], guide))
         huge = guided_filter(source * np.float32(1e37), guide)
         np.testing.assert_allclose(huge / np.float32(1e37), whole, atol=1e-5)
+
+    @pytest.mark.parametrize("channels", [1, 2, 5])
+    def test_a_result_is_the_callers_own(self, channels):
+        """The arrays that are used again hold nothing that a caller has, and each thread has its own."""
+        rng = np.random.default_rng(4)
+        sources = rng.standard_normal((8, 40, 30, channels)).astype(np.float32)
+        guides = (rng.random((8, 40, 30)) * 255).astype(np.float32)
+        before = sources.copy(), guides.copy()
+        one_by_one = [guided_filter(*pair, radius=3) for pair in zip(sources, guides)]
+        kept = [result.copy() for result in one_by_one]
+        with ThreadPoolExecutor(4) as pool:
+            together = list(pool.map(lambda pair: guided_filter(*pair, radius=3), list(zip(sources, guides)) * 5))
+        np.testing.assert_array_equal(one_by_one, kept)
+        np.testing.assert_array_equal(together, kept * 5)
+        np.testing.assert_array_equal(sources, before[0])
+        np.testing.assert_array_equal(guides, before[1])

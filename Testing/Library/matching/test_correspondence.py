@@ -7,7 +7,7 @@ from itertools import product
 import pytest
 import torch
 
-from MedColorLib.matching.fields import exact, patchmatch, windowed
+from MedColorLib.matching.fields import exact, patches, patchmatch, windowed
 from MedColorLib.matching.fields.field import average_vote, identity, upsample, warp
 from MedColorLib.matching.fields.patchmatch import patch_similarity
 from MedColorLib.matching.vote import matched_colors
@@ -116,6 +116,50 @@ class TestExact:
         zero = torch.zeros(1, 3, 4, 4)
         field, similarity, reverse, _ = exact.search(zero, zero, 1, everywhere(1, 4, 4), everywhere(4, 4), both=True)
         assert not similarity.any() and field.max() < 16 and reverse.max() < 16
+
+
+class TestPatches:
+    """Products in bfloat16: a match is as good as the best by less than the rounding."""
+
+    ROUNDING = 6e-3  # of means of inner products of unit features, which are far from a good match here
+
+    @pytest.mark.parametrize("radius", [0, 1, 2])
+    @pytest.mark.parametrize(
+        ("shape", "shape2"), [((4, 5), (3, 4)), ((1, 6), (5, 1)), ((2, 2), (6, 3)), ((40, 30), (9, 11))]
+    )
+    def test_as_good_as_the_best_of_all_pairs_in_both_directions(self, radius, shape, shape2):
+        target, reference = features(2, *shape, seed=1), features(1, *shape2, seed=2)
+        inside = torch.stack([random_mask(*shape, seed=n, share=0.4) for n in (3, 4)])
+        wanted = inside | torch.stack([random_mask(*shape, seed=n) for n in (6, 7)])
+        mask2 = random_mask(*shape2, seed=5)
+        field, similarity, reverse = patches.search(target, reference, radius, wanted, inside, mask2, both=True)
+        for n in range(2):
+            table = exact.similarity_volume(target[n], reference[0], radius)
+            allowed = table.masked_fill(~mask2.reshape(1, -1), -9)
+            best, found = allowed.max(1).values.view(shape), chosen(allowed, field[n])
+            assert (best - found)[wanted[n]].max() <= self.ROUNDING
+            torch.testing.assert_close(similarity[n][wanted[n]], best[wanted[n]], atol=self.ROUNDING, rtol=0)
+            assert not field[n][~wanted[n]].any() and not similarity[n][~wanted[n]].any()
+            back = table.masked_fill(~inside[n].reshape(-1, 1), -9).T
+            assert (back.max(1).values.view(shape2) - chosen(back, reverse[n]))[mask2].max() <= self.ROUNDING
+            assert inside[n].reshape(-1)[reverse[n]].all()
+        once = patches.search(target, reference, radius, wanted, inside, mask2, both=False)
+        assert torch.equal(once[0], field) and once[2] is None
+
+    def test_more_positions_than_one_block(self):
+        target = features(1, 40, 45, channels=16)
+        all_of_it = everywhere(1, 40, 45)
+        field, _, reverse = patches.search(target, target, 1, all_of_it, all_of_it, everywhere(40, 45), both=True)
+        assert torch.equal(field, identity(1, 40, 45)) and torch.equal(reverse, identity(1, 40, 45))
+
+    def test_empty_masks(self):
+        target, nothing = features(1, 4, 4), ~everywhere(4, 4)
+        field, _, reverse = patches.search(target, target, 1, everywhere(1, 4, 4), nothing[None], nothing, both=True)
+        assert torch.equal(field, identity(1, 4, 4)) and not reverse.any()
+        field, similarity, _ = patches.search(
+            target, target, 1, nothing[None], nothing[None], everywhere(4, 4), both=True
+        )
+        assert not field.any() and not similarity.any()
 
 
 class TestField:

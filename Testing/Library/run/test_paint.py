@@ -17,7 +17,6 @@ import torch
 from MedColorLib import Settings, colorize, device
 from MedColorLib.bench.peak_memory import tall_phantom
 from MedColorLib.phantom import section
-from MedColorLib.run import paint
 
 ROOT = Path(__file__).parents[3]
 
@@ -32,7 +31,7 @@ def test_same_bytes_as_one_by_one(changes, small_raster, monkeypatch):
     volume = tall_phantom(7, 48)
     settings = Settings(**{"preset": "draft", "features": "embedded", "confidence": True, **changes})
     together = colorize(volume, [section()], settings)
-    monkeypatch.setattr(paint, "side_by_side", one_by_one)
+    monkeypatch.setattr(device, "side_by_side", one_by_one)
     apart = colorize(volume, [section()], settings)
     np.testing.assert_array_equal(together.rgb, apart.rgb)
     np.testing.assert_array_equal(together.confidence, apart.confidence)
@@ -49,13 +48,13 @@ def test_order_threads_and_errors():
             raise ZeroDivisionError
         return 2 * number, (torch.get_num_threads(), cv2.getNumThreads())
 
-    with paint.side_by_side() as each:
+    with device.side_by_side() as each:
         assert each(doubled, [2, 0, 1]) == [(4, (1, 1)), (0, (1, 1)), (2, (1, 1))]
         with pytest.raises(ZeroDivisionError):
             each(doubled, [1, 3])
         assert (torch.get_num_threads(), cv2.getNumThreads()) == before
-    assert all(name.startswith("MedColor colour") for name in names)
-    assert not any(thread.name.startswith("MedColor colour") for thread in threading.enumerate())
+    assert all(name.startswith("MedColor slices") for name in names)
+    assert not any(thread.name.startswith("MedColor slices") for thread in threading.enumerate())
 
 
 @pytest.mark.parametrize(("cores", "free", "expected"), [(8, 1, 7), (2, 1, 1), (1, 1, 1), (4, 9, 1), (None, 1, 1)])

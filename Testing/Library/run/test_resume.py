@@ -35,14 +35,23 @@ KINDS = {
 
 @pytest.fixture
 def matched(monkeypatch) -> list[int]:
-    """Fills with the number of slices of every match that is made for colouring."""
-    counts, match = [], Engine._correspondence
+    """Fills with the number of slices of every batch that is matched for colouring."""
+    counts, made, match, match_batch = [], [], Engine._correspondence, Engine._match_one
 
-    def counted(engine, index, greys, *more):
-        counts.append(len(greys))
-        return match(engine, index, greys, *more)
+    def noted(*arguments):
+        made.append(1)
+        return match(*arguments)
 
-    monkeypatch.setattr(Engine, "_correspondence", counted)
+    def counted(engine, ks, index):
+        made.clear()
+        try:
+            return match_batch(engine, ks, index)
+        finally:
+            if made:
+                counts.append(len(ks))
+
+    monkeypatch.setattr(Engine, "_correspondence", noted)
+    monkeypatch.setattr(Engine, "_match_one", counted)
     return counts
 
 
