@@ -338,8 +338,14 @@ class Engine:
 
     @property
     def one_tissue(self) -> float:
-        """How far a grey is taken for one tissue all over a slice; measured for the own features alone."""
-        return self.grey_tells**2 if self.own_features else 0.0
+        """How far a grey is taken for one tissue all over a slice; measured for the own features alone.
+
+        Less where matches tell grey (`contrast.Contrast.trust`), as in the chest: they know better than a slice as a whole.
+        """
+        if not self.own_features:
+            return 0.0
+        trust = [self.references[i].contrast.trust for i in set(self.choice.values())]
+        return self.grey_tells**2 * (1 - float(np.mean(trust)))
 
     def _spread_guide(self) -> np.ndarray:
         boxes = [self.slice_in_box(k) for k in sample_slices(self.prepared.plan.slices)]
