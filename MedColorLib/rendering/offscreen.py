@@ -22,6 +22,7 @@ _PROBE = Path(__file__).with_name("probe.py")
 _PROBE_SECONDS = 120  # a software driver compiles its shaders first, on a machine that may be busy
 MAX_PICTURE_SIDE = 8192
 _MAX_SAMPLES_PER_RAY = 1500
+_CUBES = 1.6  # voxels whose sides differ by less count as cubes
 
 
 @dataclass(frozen=True)
@@ -191,9 +192,7 @@ class Stage:
         matrix = vtkMatrix4x4()
         matrix.DeepCopy(own.ravel())
         volume.SetUserMatrix(matrix)
-        normals = (shaders.NORMAL_FROM_COMPONENT, shaders.NORMAL_FROM_ALPHA)
-        for text, instead in (normals, shaders.SKIP_AIR, *shaders.SHADOWS):
-            volume.GetShaderProperty().AddFragmentShaderReplacement(text, False, instead, True)
+        _change_shader(volume.GetShaderProperty(), spacing_mm.max() < _CUBES * spacing_mm.min())
         return volume
 
     def draw(self, camera: Camera) -> np.ndarray:
@@ -247,6 +246,17 @@ class Stage:
         view.SetPosition(*(focal + camera.distance_mm * towards))
         view.SetViewUp(*(turn @ camera.up))
         self._renderer.ResetCameraClippingRange()
+
+
+def _change_shader(shader: object, cubes: bool) -> None:
+    """Give VTK's ray caster the texts of `shaders`; `cubes`: voxels are about as long as wide."""
+    if cubes:
+        normals, (place, function) = shaders.CUBE_NORMALS, shaders.CUBE_NORMALS_NEED
+    else:
+        normals, (place, function) = shaders.ALPHA_NORMALS, shaders.SMOOTH_NORMALS_NEED
+    shader.AddFragmentShaderReplacement(place, True, function, True)
+    for text, instead in (normals, shaders.SKIP_AIR, *shaders.SHADOWS):
+        shader.AddFragmentShaderReplacement(text, False, instead, True)
 
 
 def _placed(grid: Grid) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

@@ -9,10 +9,26 @@ from __future__ import annotations
 
 Replacement = tuple[str, str]
 
-# VTK before 9.4 takes the direction of a surface from the first component, red, instead of alpha: where colour goes on
-# outside tissue (`surface`), red has no edge. Later versions have component = 3 here.
-NORMAL_FROM_COMPONENT = "computeGradient(g_dataPos, component, in_volume[0], 0)"
-NORMAL_FROM_ALPHA = "computeGradient(g_dataPos, 3, in_volume[0], 0)"
+# What VTK computes the direction of a surface from: six voxels around a sample. VTK before 9.4 even takes red instead of
+# alpha, and where colour goes on outside tissue (`surface`), red has no edge. Later versions have component = 3 here.
+NORMAL = "computeGradient(g_dataPos, component, in_volume[0], 0)"
+
+# Where voxels are about cubes, the eight corners of a cube around a sample: smoother, and no slower.
+CUBE_NORMALS: Replacement = (NORMAL, "mcSlope(g_dataPos)")
+CUBE_NORMALS_NEED: Replacement = (  # to be replaced before VTK puts its functions there
+    "//VTK::ComputeLighting::Dec",
+    """vec4 mcSlope(vec3 place)
+{
+  vec3 slope = vec3(0.0);
+  for (int n = 0; n < 8; ++n)
+    {
+    vec3 corner = vec3(n & 1, (n >> 1) & 1, n >> 2) * 2.0 - 1.0;
+    slope += corner * texture3D(in_volume[0], place + 0.8 * corner * in_cellStep[0]).a;
+    }
+  return vec4(slope / in_cellSpacing[0], -1.0);
+}
+//VTK::ComputeLighting::Dec""",
+)
 
 # Free voxels around an air voxel, as `free_air` has written them into red: a ray goes on by whole steps, so that the
 # samples in tissue are the same as without.
@@ -51,15 +67,15 @@ SHADOWS: tuple[Replacement, ...] = (
     ),
 )
 
-# A surface's direction from the gradients at four places around a sample, which lie like the corners of a tetrahedron.
-# The gradient of a single sample follows the steps of 8-bit voxels and the corner where the ramp at a skin begins.
-# VTK's own function is asked, since it knows clipping planes; where it returns unit vectors, w is their length.
+# Elsewhere, and in Slicer, where clipping planes cut and any curve of gradient opacity may be set, VTK's own function is asked
+# at four places around a sample, which lie like the corners of a tetrahedron. Where it returns unit vectors, w is their
+# length. The gradient of a single place follows the steps of 8-bit voxels and the corner where the ramp at a skin begins.
 _AROUND = " + ".join(
     f"mcWeighed(computeGradient(g_dataPos + in_cellStep[0] * vec3({x}, {y}, {z}), component, in_volume[0], 0))"
     for x, y, z in ((1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1))
 )
-SMOOTH_NORMALS: Replacement = (NORMAL_FROM_COMPONENT, f"({_AROUND})")
-# To be replaced before VTK puts its functions there.
+SMOOTH_NORMALS: Replacement = (NORMAL, f"({_AROUND})")
+ALPHA_NORMALS: Replacement = (NORMAL, SMOOTH_NORMALS[1].replace("component", "3"))
 SMOOTH_NORMALS_NEED: Replacement = (
     "//VTK::ComputeLighting::Dec",
     """vec4 mcWeighed(vec4 g)

@@ -11,6 +11,7 @@ from .presets import ALPHA_AIR, LUMINANCE_WEIGHTS
 # Air around the voxels, in voxels: room for the colour that goes on into it, then alpha 0, so that alpha's range
 # starts at 0 and no surface ends at the border of the texture.
 MARGIN = 3
+_RAMP = 3  # voxels from air on in which tissue may be mixed with air
 
 
 def surface_rgba(rgb: np.ndarray) -> np.ndarray:
@@ -56,14 +57,20 @@ def _dress(rgba: np.ndarray) -> None:
 
     Linear interpolation mixes the colour of air into the outer half voxel, and the first samples that a ray meets are
     taken there: without this every surface has a dark rim. The same mixing happened already in the scan: a voxel half
-    filled by air is dark. So a voxel that touches air also takes its inner neighbours' colour, if it is darker.
+    filled by air is dark, and a skin of such voxels shows dark terraces where the surface passes from one to the next. So
+    voxels near air also take the colour of their inner neighbours, layer by layer, where that is brighter.
     Alpha ends in a step where a mask cut the body out; on a step, shading shows each voxel as a stair.
     """
     alpha = rgba[..., 3]
     tissue = alpha > ALPHA_AIR
     near_air = _dilated(~tissue)
     core = tissue & ~near_air
-    _take_colour(rgba, np.flatnonzero(tissue & near_air), core, only_if_brighter=True)
+    deep = [core]
+    for _ in range(_RAMP - 1):
+        deep.append(deep[-1] & ~_dilated(~deep[-1]))
+    for inner, outer in zip(deep[::-1], [*deep[-2::-1], tissue]):  # from the inside outwards
+        _take_colour(rgba, np.flatnonzero(outer & ~inner), inner, only_if_brighter=True)
+    _take_colour(rgba, np.flatnonzero(tissue & near_air), tissue, only_if_brighter=True)
     reached = _dilated(tissue)
     air = reached & ~tissue
     _take_colour(rgba, np.flatnonzero(air), tissue)
@@ -94,7 +101,7 @@ def _neighbourhood(shape: tuple[int, int, int]) -> list[tuple[int, float]]:
 def _take_colour(rgba: np.ndarray, targets: np.ndarray, known: np.ndarray, only_if_brighter: bool = False) -> None:
     """Give the voxels `targets` (flat indices, not on the array's border) the mean colour of `known` neighbours.
 
-    Bright neighbours weigh more: the dark ones hold more air. Works on the list of targets only, since surfaces are a
+    Bright neighbours weigh far more: the dark ones hold more air. Works on the list of targets only, since surfaces are a
     few percent of a volume.
     """
     colour, voxels = rgba.reshape(-1, 4), rgba.view(np.uint32).reshape(-1)  # a voxel is one number: read at once
@@ -105,7 +112,9 @@ def _take_colour(rgba: np.ndarray, targets: np.ndarray, known: np.ndarray, only_
     for offset, weight in _neighbourhood(known.shape):
         np.add(targets, offset, out=places)
         neighbour = voxels.take(places).view(np.uint8).reshape(-1, 4)
-        share = flat_known.take(places) * (np.float32(weight) * (neighbour[:, 3] + np.float32(1)))
+        share = (neighbour[:, 3] + np.float32(1)) * np.float32(1 / 64)
+        share *= share
+        share *= share * (flat_known.take(places) * np.float32(weight))
         total += neighbour * share[:, None]
         sum_of_weights += share
     chosen = sum_of_weights > 0
