@@ -12,9 +12,10 @@ from ..errors import SettingsError
 # Weights of red, green and blue in vtkImageLuminance, which Slicer applies to a three-component volume.
 LUMINANCE_WEIGHTS = (0.30, 0.59, 0.11)
 
-# Phong terms. VTK's own ambient of 0.1 leaves the folds of the surface black.
-AMBIENT = 0.3
-DIFFUSE = 0.8
+# Phong terms. VTK's own ambient of 0.1 leaves the folds of the surface black. A body shows its surface at all angles: with
+# these a colour is, in the mean over a ball, about as bright as it is in a slice.
+AMBIENT = 0.35
+DIFFUSE = 0.85
 SPECULAR = 0.1
 SPECULAR_POWER = 10.0
 
