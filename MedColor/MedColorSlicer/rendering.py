@@ -1,6 +1,6 @@
 """Volume rendering of a result, so that a known colour comes out as itself.
 
-Slicer shows an RGB volume with luminance as alpha. Four things have to be right for it to look right:
+Slicer shows an RGB volume with luminance as alpha. Five things have to be right for it to look right:
 
 * the opacity curve lies on VTK's alpha axis, which is stretched to the luminance range of the volume
   (`MedColorLib.rendering.presets.opacity_points`), and is moved when the voxels change;
@@ -8,6 +8,8 @@ Slicer shows an RGB volume with luminance as alpha. Four things have to be right
   replacement takes the colour of each sample from the visible voxels around it alone, and near air from the tissue up to
   two and a half voxels behind it. The line it replaces is the same in VTK 9.1 to 9.6; where another VTK words it
   differently nothing is replaced, and a dark rim is all that comes back;
+* the direction of a surface comes from more than the six voxels around a sample (`MedColorLib.rendering.shaders`), so that
+  light does not show the steps of 8-bit voxels;
 * components are not independent, and the lighting leaves colours bright enough;
 * the curve's opacity is reached over a length that fits the body (unit distance).
 
@@ -244,16 +246,22 @@ def restore_unsaved(display) -> None:
 
 
 def _set_shader(display) -> None:
-    from MedColorLib.rendering import presets
+    from MedColorLib.rendering import presets, shaders
 
     code = _SHADER_CODE.replace("AIR", f"{(presets.ALPHA_AIR + 0.5) / 255.0:.6f}") + _SHADER_LINE
-    mark = str(zlib.crc32(code.encode()))
+    replacements = [  # (text, before VTK's own, instead)
+        (_SHADER_LINE, False, code),
+        (shaders.SMOOTH_NORMALS_NEED[0], True, shaders.SMOOTH_NORMALS_NEED[1]),
+        (shaders.SMOOTH_NORMALS[0], False, shaders.SMOOTH_NORMALS[1]),
+    ]
+    mark = str(zlib.crc32(repr(replacements).encode()))
     node = display.GetOrCreateShaderPropertyNode(display.GetScene())
     shader = node.GetShaderProperty()
-    if node.GetAttribute(_SHADER_ATTRIBUTE) == mark and shader.GetNumberOfShaderReplacements() == 1:
+    if node.GetAttribute(_SHADER_ATTRIBUTE) == mark and shader.GetNumberOfShaderReplacements() == len(replacements):
         return  # a change, even to the same text, would compile the shader anew
     shader.ClearAllFragmentShaderReplacements()
-    shader.AddFragmentShaderReplacement(_SHADER_LINE, False, code, True)
+    for text, first, instead in replacements:
+        shader.AddFragmentShaderReplacement(text, first, instead, True)
     node.SetAttribute(_SHADER_ATTRIBUTE, mark)
     node.SetName(f"{display.GetName()} shader")
 

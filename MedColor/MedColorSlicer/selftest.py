@@ -140,7 +140,7 @@ class MedColorTest(ScriptedLoadableModuleTest):
             self.assertAlmostEqual(before[0], after[0], places=3)
             self.assertAlmostEqual(before[1], after[1], places=3)
         self.assertEqual(rendering.opacity_of(result), 0.8)
-        self.assertEqual(display.GetShaderPropertyNode().GetShaderProperty().GetNumberOfShaderReplacements(), 1)
+        self.assertEqual(display.GetShaderPropertyNode().GetShaderProperty().GetNumberOfShaderReplacements(), 3)
 
     def test_known_colors_in_the_3d_view(self):
         view = self._three_d_view()

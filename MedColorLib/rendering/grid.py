@@ -10,6 +10,7 @@ import numpy as np
 from ..errors import InputError, SettingsError
 from ..scan.intensity import apply_window, choose_window
 from ..volume import ColorVolume, Volume
+from .free_air import mark_free_air
 from .surface import MARGIN, surface_rgba
 
 _LOG = logging.getLogger("MedColorLib")
@@ -50,7 +51,7 @@ class Grid:
     """Voxels ready for the ray caster.
 
     Attributes:
-        rgba: (k, j, i, 4) uint8, see `surface_rgba`.
+        rgba: (k, j, i, 4) uint8, see `surface_rgba` and `mark_free_air`.
         ijk_to_ras: (4, 4) float64 of this array, not of the volume it was cropped from.
         diagonal_mm: diagonal of the box of voxels that are not black.
     """
@@ -182,7 +183,9 @@ def prepare_grid(color: ColorVolume, voxel_budget: int = VOXEL_BUDGET) -> Grid |
         )
         rgb = _reduce(rgb, factors)
     first_ijk = [s.start + (f - 1) / 2 - MARGIN * f for s, f in zip(box, factors)][::-1]
-    return Grid(surface_rgba(rgb), shifted(color.ijk_to_ras, first_ijk, factors[::-1]), diagonal_mm)
+    rgba = surface_rgba(rgb)
+    mark_free_air(rgba)
+    return Grid(rgba, shifted(color.ijk_to_ras, first_ijk, factors[::-1]), diagonal_mm)
 
 
 def cut_grid(grid: Grid, cut: Cut) -> Grid:
@@ -195,6 +198,7 @@ def cut_grid(grid: Grid, cut: Cut) -> Grid:
     for k, plane in enumerate(rgba):
         kept = 1.0 - _cut_share(k, plane.shape[:2], grid.ijk_to_ras, cut)
         plane[..., 3] = np.rint(plane[..., 3] * kept).astype(np.uint8)
+    mark_free_air(rgba)
     return replace(grid, rgba=rgba)
 
 

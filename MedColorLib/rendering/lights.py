@@ -15,10 +15,10 @@ from ..errors import SettingsError
 _LOG = logging.getLogger("MedColorLib")
 
 LIGHTS = ("plain", "realistic")
-_SCATTERING = 0.5  # share of VTK's blending range that stands for shadows within the volume
+_SCATTERING = 0.25  # of 1: at 0.5 shadows alone give form, and a face is flat
 _REACH = 0.3  # of the volume's size that shadows are looked for
-_KEY = ((-1.0, 1.2, 1.6), 0.8)  # place of the main lamp as the camera sees it (right, up, towards), and its strength
-_FILL = ((0.0, 0.0, 1.0), 0.6)
+_KEY = ((-1.0, 1.2, 1.6), 0.6)  # place of the main lamp as the camera sees it (right, up, towards), and its strength
+_FILL = ((0.0, 0.0, 1.0), 0.9)
 _GAIN = (0.8, 2.5)  # least and most
 
 

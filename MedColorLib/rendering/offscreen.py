@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import DeviceError, MissingPackageError, SettingsError
-from . import lights, presets
+from . import lights, presets, shaders
 from .grid import Grid
 
 _LOG = logging.getLogger("MedColorLib")
@@ -22,6 +22,7 @@ _PROBE = Path(__file__).with_name("probe.py")
 _PROBE_SECONDS = 120  # a software driver compiles its shaders first, on a machine that may be busy
 MAX_PICTURE_SIDE = 8192
 _MAX_SAMPLES_PER_RAY = 1500
+_CUBES = 1.6  # voxels whose sides differ by less count as cubes
 
 
 @dataclass(frozen=True)
@@ -135,6 +136,7 @@ class Stage:
 
         self._errors: list[str] = []
         self._shown, self._light, self._gain = None, "plain", None
+        self._to_ras = np.eye(4)  # of the image on the stage
         self._window = getattr(vtkRenderingOpenGL2, name, vtkRenderWindow)()
         self._window.SetOffScreenRendering(1)
         self._window.SetShowWindow(False)
@@ -175,12 +177,10 @@ class Stage:
         from vtkmodules.vtkRenderingCore import vtkVolume
         from vtkmodules.vtkRenderingVolume import vtkGPUVolumeRayCastMapper
 
-        # Spacing goes into the image and only the directions into the matrix: the mapper measures its steps in the
-        # image's own millimetres, so that with spacing in the matrix opacity would depend on the direction of view.
-        spacing_mm = np.linalg.norm(grid.ijk_to_ras[:3, :3], axis=0)
+        rgba, spacing_mm, self._to_ras, own = _placed(grid)
         mapper = vtkGPUVolumeRayCastMapper()
         self._listen(mapper)
-        mapper.SetInputData(_image(grid.rgba, spacing_mm))
+        mapper.SetInputData(_image(rgba, spacing_mm))
         mapper.SetBlendModeToComposite()
         mapper.AutoAdjustSampleDistancesOff()
         mapper.SetImageSampleDistance(1.0)
@@ -189,14 +189,10 @@ class Stage:
         volume = vtkVolume()
         volume.SetMapper(mapper)
         volume.SetProperty(_properties(grid, opacity, shade))
-        directions = np.array(grid.ijk_to_ras)
-        directions[:3, :3] /= spacing_mm
         matrix = vtkMatrix4x4()
-        matrix.DeepCopy(directions.ravel())
+        matrix.DeepCopy(own.ravel())
         volume.SetUserMatrix(matrix)
-        volume.GetShaderProperty().AddFragmentShaderReplacement(
-            presets.NORMAL_FROM_COMPONENT, False, presets.NORMAL_FROM_ALPHA, True
-        )
+        _change_shader(volume.GetShaderProperty(), spacing_mm.max() < _CUBES * spacing_mm.min())
         return volume
 
     def draw(self, camera: Camera) -> np.ndarray:
@@ -244,10 +240,42 @@ class Stage:
         view = self._renderer.GetActiveCamera()
         view.ParallelProjectionOn()
         view.SetParallelScale(camera.half_height_mm)
-        view.SetFocalPoint(*camera.focal)
-        view.SetPosition(*(camera.focal + camera.distance_mm * camera.towards))
-        view.SetViewUp(*camera.up)
+        turn = self._to_ras[:3, :3].T
+        focal, towards = turn @ (camera.focal - self._to_ras[:3, 3]), turn @ camera.towards
+        view.SetFocalPoint(*focal)
+        view.SetPosition(*(focal + camera.distance_mm * towards))
+        view.SetViewUp(*(turn @ camera.up))
         self._renderer.ResetCameraClippingRange()
+
+
+def _change_shader(shader: object, cubes: bool) -> None:
+    """Give VTK's ray caster the texts of `shaders`; `cubes`: voxels are about as long as wide."""
+    if cubes:
+        normals, (place, function) = shaders.CUBE_NORMALS, shaders.CUBE_NORMALS_NEED
+    else:
+        normals, (place, function) = shaders.ALPHA_NORMALS, shaders.SMOOTH_NORMALS_NEED
+    shader.AddFragmentShaderReplacement(place, True, function, True)
+    for text, instead in (normals, shaders.SKIP_AIR, *shaders.SHADOWS):
+        shader.AddFragmentShaderReplacement(text, False, instead, True)
+
+
+def _placed(grid: Grid) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Voxels (k, j, i, 4), their spacing (i, j, k), the image's millimetres to RAS (4, 4), and a matrix of the volume's own.
+
+    It is the camera that is placed to the image, since VTK turns the directions of surfaces wrongly where a volume has a
+    matrix and more than one lamp shines. Only a sheared grid has one. Spacing goes into the image: the mapper measures its
+    steps in the image's own millimetres, so that with spacing in a matrix opacity would depend on the direction of view.
+    """
+    spacing_mm = np.linalg.norm(grid.ijk_to_ras[:3, :3], axis=0)
+    rgba, directions = grid.rgba, np.array(grid.ijk_to_ras)
+    directions[:3, :3] /= spacing_mm
+    if np.linalg.det(directions[:3, :3]) < 0:  # a camera cannot look through a mirror
+        mirror = np.diag([-1.0, 1.0, 1.0, 1.0])
+        mirror[0, 3] = (rgba.shape[2] - 1) * spacing_mm[0]
+        rgba, directions = np.ascontiguousarray(rgba[:, :, ::-1]), directions @ mirror
+    if np.allclose(directions[:3, :3].T @ directions[:3, :3], np.eye(3), atol=1e-3):
+        return rgba, spacing_mm, directions, np.eye(4)
+    return rgba, spacing_mm, np.eye(4), directions
 
 
 def _image(rgba: np.ndarray, spacing_mm: np.ndarray) -> object:

@@ -12,9 +12,10 @@ from ..errors import SettingsError
 # Weights of red, green and blue in vtkImageLuminance, which Slicer applies to a three-component volume.
 LUMINANCE_WEIGHTS = (0.30, 0.59, 0.11)
 
-# Phong terms. VTK's own ambient of 0.1 leaves the folds of the surface black.
-AMBIENT = 0.3
-DIFFUSE = 0.8
+# Phong terms. VTK's own ambient of 0.1 leaves the folds of the surface black. A body shows its surface at all angles: with
+# these a colour is, in the mean over a ball, about as bright as it is in a slice.
+AMBIENT = 0.35
+DIFFUSE = 0.85
 SPECULAR = 0.1
 SPECULAR_POWER = 10.0
 
@@ -34,12 +35,6 @@ ALPHA_FLESH = 160.0
 
 # The opacity of the curve is reached over this fraction of the body's diagonal (about 1 mm in a human head).
 UNIT_DISTANCE_FRACTION = 1.0 / 400.0
-
-# VTK before 9.4 takes the direction of a surface from the first component, red, instead of alpha: where colour goes on
-# outside tissue (`surface`), red has no edge. Replacing this text in the fragment shader cures it; later versions have
-# other text, or the same with component = 3. Used with vtkShaderProperty.AddFragmentShaderReplacement.
-NORMAL_FROM_COMPONENT = "computeGradient(g_dataPos, component, in_volume[0], 0)"
-NORMAL_FROM_ALPHA = "computeGradient(g_dataPos, 3, in_volume[0], 0)"
 
 
 def opacity_curve(opacity: float = DEFAULT_OPACITY) -> list[tuple[float, float]]:

@@ -11,6 +11,9 @@ from .presets import ALPHA_AIR, LUMINANCE_WEIGHTS
 # Air around the voxels, in voxels: room for the colour that goes on into it, then alpha 0, so that alpha's range
 # starts at 0 and no surface ends at the border of the texture.
 MARGIN = 3
+_RAMP = 3  # voxels from air on in which tissue may be mixed with air
+_ROUNDS = 3  # a layer's voxels that are so far from the next one take its colour
+_SAME_HUE = 0.9  # cosine between colours (R, G, B): what is mixed with air gets darker and stays of its hue
 
 
 def surface_rgba(rgb: np.ndarray) -> np.ndarray:
@@ -25,6 +28,13 @@ def surface_rgba(rgb: np.ndarray) -> np.ndarray:
         plane[..., 3] = luminance_alpha(plane)
     _dress(rgba)
     return rgba
+
+
+def _same_hue(dark: np.ndarray, bright: np.ndarray) -> np.ndarray:
+    """(n,) bool, whether colours (n, 3) uint8 point about the same way."""
+    a, b = dark.astype(np.float32), bright.astype(np.float32)
+    dot, aa, bb = (np.einsum("nc,nc->n", x, y) for x, y in ((a, b), (a, a), (b, b)))
+    return dot * dot >= np.float32(_SAME_HUE**2) * aa * bb
 
 
 def luminance_alpha(rgb: np.ndarray) -> np.ndarray:
@@ -56,14 +66,19 @@ def _dress(rgba: np.ndarray) -> None:
 
     Linear interpolation mixes the colour of air into the outer half voxel, and the first samples that a ray meets are
     taken there: without this every surface has a dark rim. The same mixing happened already in the scan: a voxel half
-    filled by air is dark. So a voxel that touches air also takes its inner neighbours' colour, if it is darker.
+    filled by air is dark, and a skin of such voxels shows dark terraces where the surface passes from one to the next. So
+    voxels near air also take the colour of their inner neighbours, layer by layer, where that is brighter.
     Alpha ends in a step where a mask cut the body out; on a step, shading shows each voxel as a stair.
     """
     alpha = rgba[..., 3]
     tissue = alpha > ALPHA_AIR
     near_air = _dilated(~tissue)
     core = tissue & ~near_air
-    _take_colour(rgba, np.flatnonzero(tissue & near_air), core, only_if_brighter=True)
+    deep = [core]
+    for _ in range(_RAMP - 1):
+        deep.append(deep[-1] & ~_dilated(~deep[-1]))
+    for inner, outer in zip(deep[::-1], [*deep[-2::-1], tissue]):  # from the inside outwards
+        _brighten(rgba, inner, outer)
     reached = _dilated(tissue)
     air = reached & ~tissue
     _take_colour(rgba, np.flatnonzero(air), tissue)
@@ -71,6 +86,18 @@ def _dress(rgba: np.ndarray) -> None:
     alpha *= reached
     # What is too thin to have a core would fade away.
     _soften_alpha(rgba, np.flatnonzero(air | (tissue & near_air & _dilated(core))))
+
+
+def _brighten(rgba: np.ndarray, inner: np.ndarray, outer: np.ndarray) -> None:
+    """Give the voxels of `outer` that are not in `inner` the colour that lies behind them, where it is brighter, in place.
+
+    Round a bend a layer is more than a voxel thick: what touches nothing of `inner` takes from what has taken.
+    """
+    known, targets = inner.copy(), np.flatnonzero(outer & ~inner)
+    for _ in range(_ROUNDS):
+        found = _take_colour(rgba, targets, known, only_if_brighter=True)
+        known.reshape(-1)[targets[found]] = True
+        targets = targets[~found]
 
 
 def _soften_alpha(rgba: np.ndarray, targets: np.ndarray) -> None:
@@ -91,25 +118,35 @@ def _neighbourhood(shape: tuple[int, int, int]) -> list[tuple[int, float]]:
     ]
 
 
-def _take_colour(rgba: np.ndarray, targets: np.ndarray, known: np.ndarray, only_if_brighter: bool = False) -> None:
+def _take_colour(
+    rgba: np.ndarray, targets: np.ndarray, known: np.ndarray, only_if_brighter: bool = False
+) -> np.ndarray:
     """Give the voxels `targets` (flat indices, not on the array's border) the mean colour of `known` neighbours.
 
-    Bright neighbours weigh more: the dark ones hold more air. Works on the list of targets only, since surfaces are a
+    Returns which of them have such neighbours, (n,) bool.
+
+    Bright neighbours weigh far more: the dark ones hold more air. Works on the list of targets only, since surfaces are a
     few percent of a volume.
     """
-    colour = rgba.reshape(-1, 4)
+    colour, voxels = rgba.reshape(-1, 4), rgba.view(np.uint32).reshape(-1)  # a voxel is one number: read at once
     flat_known = known.reshape(-1)
-    total = np.zeros((targets.size, 3), dtype=np.float32)
+    total = np.zeros((targets.size, 4), dtype=np.float32)
     sum_of_weights = np.zeros(targets.size, dtype=np.float32)
+    places = np.empty_like(targets)
     for offset, weight in _neighbourhood(known.shape):
-        neighbour = colour[targets + offset]
-        share = flat_known[targets + offset] * (np.float32(weight) * (neighbour[:, 3] + np.float32(1)))
-        total += share[:, None] * neighbour[:, :3]
+        np.add(targets, offset, out=places)
+        neighbour = voxels.take(places).view(np.uint8).reshape(-1, 4)
+        share = (neighbour[:, 3] + np.float32(1)) * np.float32(1 / 64)
+        share *= share
+        share *= share * (flat_known.take(places) * np.float32(weight))
+        total += neighbour * share[:, None]
         sum_of_weights += share
     chosen = sum_of_weights > 0
-    mean = np.rint(total[chosen] / sum_of_weights[chosen, None]).astype(np.uint8)
+    mean = np.rint(total[chosen, :3] / sum_of_weights[chosen, None]).astype(np.uint8)
     targets = targets[chosen]
     if only_if_brighter:
-        brighter = luminance_alpha(mean) > luminance_alpha(colour[targets])
-        targets, mean = targets[brighter], mean[brighter]
+        own = colour[targets, :3]
+        better = (luminance_alpha(mean) > luminance_alpha(own)) & _same_hue(own, mean)
+        targets, mean = targets[better], mean[better]
     colour[targets, :3] = mean
+    return chosen

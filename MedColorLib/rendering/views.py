@@ -152,7 +152,7 @@ def render_view(
         view: name in `VIEWS`. Anterior looks from the front, the patient's right on the left of the picture.
         size: (width, height) in pixels.
         opacity: 0 (nothing) to 1 (solid).
-        shade: lamp at the camera (ambient 0.3, diffuse 0.8, specular 0.1); without it colours come out as they are.
+        shade: lamp at the camera (`presets.AMBIENT` and so on); without it colours come out as they are.
         light: "plain", a lamp at the viewer, or "realistic", see `lights`.
         cut: region taken away, see `corner_cut`.
         voxel_budget: above it the volume is thinned out, which is logged.

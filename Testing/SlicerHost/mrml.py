@@ -109,13 +109,13 @@ class OffscreenView:
         self.node.SetBackgroundColor(*self.background)
         self.node.SetBackgroundColor2(*self.background)
 
-    def look_at(self, bounds, direction=(0.0, 1.0, 0.0)) -> None:
+    def look_at(self, bounds, direction=(0.0, 1.0, 0.0), distance_mm=400.0) -> None:
         """Parallel projection along `direction` (RAS), fitted to `bounds`."""
         camera = self.renderer.GetActiveCamera()
         center = np.array([(bounds[0] + bounds[1]) / 2, (bounds[2] + bounds[3]) / 2, (bounds[4] + bounds[5]) / 2])
         camera.SetParallelProjection(True)
         camera.SetFocalPoint(*center)
-        camera.SetPosition(*(center + 400 * np.asarray(direction)))
+        camera.SetPosition(*(center + distance_mm * np.asarray(direction)))
         camera.SetViewUp(0, 0, 1)
         camera.SetParallelScale(max(bounds[1] - bounds[0], bounds[5] - bounds[4]) / 2 * 1.1)
         self.renderer.ResetCameraClippingRange()

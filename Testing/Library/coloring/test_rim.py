@@ -108,8 +108,9 @@ def test_slabs_do_not_show(monkeypatch, slab):
     _, scan = ball()
     mask = scan > HALF
     whole, parts = painted(mask, scan), painted(mask, scan)
+    monkeypatch.setattr(rim, "_SLAB_SLICES", 100)
     add_rim(whole, mask, scan, HALF, AIR)
-    monkeypatch.setattr(rim, "_SLAB_VOXELS", (slab + 2 * (INSIDE + OUTSIDE + 1)) * 40 * 40)
+    monkeypatch.setattr(rim, "_SLAB_VOXELS", (slab + 2 * (INSIDE + OUTSIDE + 1)) * rim._box_area(mask))
     add_rim(parts, mask, scan, HALF, AIR)
     np.testing.assert_array_equal(parts, whole)
 

@@ -310,3 +310,14 @@ def test_thick_slices_keep_the_body_round(gl):
     rows, columns = (np.flatnonzero(seen.any(axis=axis)) for axis in (1, 0))
     height, width = np.ptp(rows) + 1, np.ptp(columns) + 1
     assert abs(height / width - 1) < 0.08  # 2 mm more on both sides of 48 mm, against a factor of 2
+
+
+def test_a_ramp_of_three_voxels_shows_no_terraces(gl):
+    """A skin mixed with air over three voxels: the surface passes from one to the next, its colour does not change."""
+    k, j, i = np.mgrid[:48, :48, :48] - 23.5
+    share = np.clip(-(np.sqrt(k**2 + j**2 + i**2) - 19) / 3, 0.12, 1) * (np.sqrt(k**2 + j**2 + i**2) < 19)
+    rgb = np.rint(np.array(ORANGE) * share[..., None]).astype(np.uint8)
+    picture = view(ColorVolume(rgb, np.eye(4)), opacity=0.9).astype(int)
+    y, x = np.mgrid[:120, :120] - 59.5
+    inside = np.hypot(x, y) < 42
+    assert np.abs(picture[inside] - ORANGE).max() <= 16

@@ -19,9 +19,9 @@ from MedColorLib.errors import DeviceError, InputError, OutputError, SettingsErr
 from MedColorLib.rendering import (
     contact_sheet,
     offscreen,
-    presets,
     render_to_png,
     sections,
+    shaders,
     sheet,
     surface,
 )
@@ -177,8 +177,7 @@ def test_without_opengl_the_error_names_the_packages(monkeypatch, pair):
 
 def test_an_error_of_the_driver_is_raised(gl, monkeypatch, pair):
     """VTK would go on and leave a black picture."""
-    monkeypatch.setattr(presets, "NORMAL_FROM_COMPONENT", "void main()")
-    monkeypatch.setattr(presets, "NORMAL_FROM_ALPHA", "this is no shader")
+    monkeypatch.setattr(shaders, "CUBE_NORMALS", ("void main()", "this is no shader"))
     with pytest.raises(DeviceError, match="driver failed"):
         view(pair[1])
 
