@@ -50,6 +50,7 @@ _FLOATING = {
     b"\x76\x2f\x31\x01": "OpenEXR",
 }
 ORIENTATION = 0x0112
+TURNS = range(2, 9)  # EXIF's numbers of what does not lie upright
 _SHORT = 3  # TIFF's number of 16-bit values
 
 
@@ -67,6 +68,17 @@ def opened(stream: BinaryIO, name: str) -> Image.Image | None:
         return None
     except Image.DecompressionBombError as error:
         raise InputError(_too_large(_one_line(error))) from error
+
+
+def upright(values: np.ndarray, orientation: int | None) -> np.ndarray:
+    """Undo an EXIF orientation of (h, w[, c])."""
+    if orientation not in TURNS:
+        return values
+    if orientation >= 5:
+        values = values.swapaxes(0, 1)
+    rows = -1 if orientation in (3, 4, 7, 8) else 1
+    columns = -1 if orientation in (2, 3, 6, 7) else 1
+    return np.ascontiguousarray(values[::rows, ::columns])
 
 
 def check_size(width: int, height: int) -> None:
@@ -151,6 +163,16 @@ def pages(image: Image.Image) -> tuple[str, ...]:
 
 def by_opencv(stream: BinaryIO) -> np.ndarray:
     """(h, w, 3 or 4) uint8 or uint16 in the order B, G, R[, A], as it is stored."""
+    values = stored_values(stream)
+    if values.ndim == 2 or values.shape[2] < 3:
+        raise InputError(IS_GREY)
+    if values.dtype not in (np.uint8, np.uint16):
+        raise InputError(f"{values.dtype} channels; save it with 8 or 16 bits per channel")
+    return values
+
+
+def stored_values(stream: BinaryIO) -> np.ndarray:
+    """(h, w) or (h, w, channels) of any type, as OpenCV gives what is stored, not turned; its size was checked before."""
     import cv2
 
     size = stream.seek(0, os.SEEK_END)
@@ -164,10 +186,6 @@ def by_opencv(stream: BinaryIO) -> np.ndarray:
         values = cv2.imdecode(_as_stored(data), flags)
     if values is None:
         raise InputError(_UNREADABLE)
-    if values.ndim == 2 or values.shape[2] < 3:
-        raise InputError(IS_GREY)
-    if values.dtype not in (np.uint8, np.uint16):
-        raise InputError(f"{values.dtype} channels; save it with 8 or 16 bits per channel")
     check_size(*values.shape[1::-1])
     return values
 

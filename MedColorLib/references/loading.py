@@ -117,6 +117,9 @@ def _of_files(files: list[Path], group: str, masks: Path | None = None) -> list[
         mask = masks and mask_beside(masks, file)
         try:
             reference = replace(read_reference(file, mask), group=group)
+            if masks and not mask:
+                said = f"no mask of its name in {masks.name}: its tissue was found"
+                reference = replace(reference, notes=(*reference.notes, said))
         except InputError as error:
             log.warning("left out of %s: %s", group, error)
             left_out.append(f"{_LEFT_OUT} {group}: {error}")

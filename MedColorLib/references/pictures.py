@@ -21,6 +21,7 @@ from ..io.voxel_data import natural_key
 from .decoding import (
     IS_GREY,
     ORIENTATION,
+    TURNS,
     by_opencv,
     check_size,
     checked_unknown,
@@ -31,6 +32,7 @@ from .decoding import (
     pages,
     quiet_pillow,
     quiet_stderr,
+    upright,
 )
 from .to_srgb import to_srgb
 
@@ -52,7 +54,6 @@ _GREY = ("1", "L", "LA", "La", "I", "F")  # and I;16 of several orders of bytes
 _TURNED = "turned upright, as the orientation in its header says"
 _BAND_BYTES = 16 << 20  # of rows that are made smaller together
 _TRANSPARENT = 127  # of 255, and below
-_TURNS = range(2, 9)  # EXIF's numbers of what does not lie upright
 
 
 @dataclass(frozen=True)
@@ -165,7 +166,7 @@ class _About:
     def turned(self) -> int | None:
         """EXIF's number of what does not lie upright, or None."""
         number = self.exif.get(ORIENTATION)
-        return number if number in _TURNS else None
+        return number if number in TURNS else None
 
     def turned_already(self) -> _About:
         """The same of pixels that lie upright now."""
@@ -202,7 +203,7 @@ def _picture(decoded: Image.Image | np.ndarray, about: _About, long_side: int | 
     if opaque is not None:
         rgb[~opaque] = 0
     if about.turned:
-        rgb, opaque = _upright(rgb, about.turned), opaque if opaque is None else _upright(opaque, about.turned)
+        rgb, opaque = upright(rgb, about.turned), opaque if opaque is None else upright(opaque, about.turned)
         whole = whole[::-1] if about.turned >= 5 else whole
         notes = (_TURNED, *notes)
     return Picture(rgb, opaque, whole[::-1], notes + said)
@@ -254,12 +255,3 @@ def _fitting(size: tuple[int, int], long_side: int) -> tuple[int, int]:
     """Width and height of the same shape, the longer one `long_side`."""
     scale = long_side / max(size)
     return max(1, round(size[0] * scale)), max(1, round(size[1] * scale))
-
-
-def _upright(values: np.ndarray, turned: int) -> np.ndarray:
-    """Undo an EXIF orientation of (h, w[, c])."""
-    if turned >= 5:
-        values = values.swapaxes(0, 1)
-    rows = -1 if turned in (3, 4, 7, 8) else 1
-    columns = -1 if turned in (2, 3, 6, 7) else 1
-    return np.ascontiguousarray(values[::rows, ::columns])
