@@ -25,6 +25,7 @@ from ..device import is_out_of_memory
 from ..errors import InputError, MedColorError, OutputError, SettingsError, WeightsError
 from ..io.dicom import DICOM_ENDINGS, is_dicom
 from ..io.files import check_output_path, file_sha256, input_sha256, read_volume, write_color_volume
+from ..io.nifti import is_pair
 from ..io.voxel_data import title
 from ..parameters import Settings
 from ..run.resume import Resume, forget_run, forget_runs, weights_sha256
@@ -305,7 +306,7 @@ def _is_volume(file: Path) -> bool:
     """A volume by its ending; a TIFF by its number of pages."""
     name = file.name.lower()
     if not name.endswith(TIFF_ENDINGS):
-        return name.endswith(VOLUME_ENDINGS) and file.is_file()
+        return file.is_file() and (name.endswith(VOLUME_ENDINGS) or (is_pair(file)))
     from ..io.tiff import tiff_stacks
 
     try:

@@ -36,6 +36,7 @@ from sound_files import (
     make_metaimage,
     make_nifti,
     make_nrrd,
+    make_pair,
     make_png,
     make_tiff,
 )
@@ -71,7 +72,9 @@ def read_scan(path: Path) -> None:
 
     for number in (None, 1):
         try:
-            float(read_volume(path, max_bytes=MAX_BYTES, volume=number).array.sum(dtype=np.float64))
+            volume = read_volume(path, max_bytes=MAX_BYTES, volume=number)
+            with np.errstate(all="ignore"):  # infinities of a damaged file may meet
+                float(volume.array.sum(dtype=np.float64))
         except _errors():
             continue
     list_volumes(path)
@@ -102,6 +105,7 @@ KINDS: dict[str, tuple[Callable[[Path], None], Callable[[Path], None], str]] = {
     "nrrd": (make_nrrd, read_scan, "*.n*r*"),
     "metaimage": (make_metaimage, read_scan, "*.mh*"),
     "nifti": (make_nifti, read_scan, "*.nii*"),
+    "pair": (make_pair, read_scan, "*.hdr"),
     "dicom": (make_dicom, read_slices, "*/*.dcm"),
     "png": (make_png, read_slices, "*/*.png"),
     "tiff": (make_tiff, read_scan, "*.tif"),
@@ -137,7 +141,7 @@ def mutated(data: bytes, chance: random.Random) -> bytes:
         elif damage == 4:
             data = data[:at] + data[at : at + chance.randrange(1, 80)] + data[at:]
         elif damage == 5 and chance.random() < 0.3:
-            data = data[: chance.randrange(1, len(data) + 1)]
+            data = data[: chance.randrange(1, max(len(data), 1) + 1)]
         else:
             data = _with_another_word(data, head, chance)
     return data

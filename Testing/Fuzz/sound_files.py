@@ -66,6 +66,13 @@ def make_nifti(folder: Path) -> None:
     nib.save(nib.Nifti2Image(np.stack([_array().T] * 2, axis=3), np.eye(4)), folder / "d.nii")
 
 
+def make_pair(folder: Path) -> None:
+    """A NIfTI header with its voxels beside it."""
+    import nibabel as nib
+
+    nib.save(nib.Nifti1Pair(_array().T, np.diag([2.0, 2, 3, 1])), folder / "a.hdr")
+
+
 def make_dicom(folder: Path) -> None:
     """Slices, an enhanced file, a mosaic, run lengths, JPEG 2000; each in a folder of its own."""
     import SimpleITK as sitk
