@@ -8,7 +8,6 @@ from __future__ import annotations
 import logging
 import os
 import struct
-import sys
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -18,7 +17,7 @@ import numpy as np
 
 from ..device import is_out_of_memory
 from ..errors import InputError
-from ..io.quiet import quiet_cv2
+from ..io.quiet import quiet_cv2, quiet_stderr
 from .to_srgb import TAG_GROUPS
 
 if TYPE_CHECKING:
@@ -232,24 +231,6 @@ def quiet_pillow() -> Iterator[None]:
             yield
     finally:
         logger.setLevel(level)
-
-
-@contextmanager
-def quiet_stderr() -> Iterator[None]:
-    """Nothing comes out of the error stream, not from C libraries either: libtiff prints what it then reports as well."""
-    sys.stderr.flush()
-    try:
-        kept = os.dup(2)
-    except OSError:  # a program without one, as on Windows
-        yield
-        return
-    try:
-        with open(os.devnull, "wb") as nowhere:
-            os.dup2(nowhere.fileno(), 2)
-        yield
-    finally:
-        os.dup2(kept, 2)
-        os.close(kept)
 
 
 def _one_line(error: Exception) -> str:

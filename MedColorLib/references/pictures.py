@@ -17,6 +17,7 @@ import numpy as np
 
 from ..device import is_out_of_memory
 from ..errors import InputError
+from ..io.quiet import quiet_stderr
 from ..io.voxel_data import natural_key
 from .decoding import (
     IS_GREY,
@@ -31,7 +32,6 @@ from .decoding import (
     opened,
     pages,
     quiet_pillow,
-    quiet_stderr,
     upright,
 )
 from .to_srgb import to_srgb

@@ -114,7 +114,9 @@ def test_damaged_picture_is_one_sentence(tmp_path: Path) -> None:
     ds.file_meta.TransferSyntaxUID = RLELossless
     ds.PixelData = encapsulate([b"no picture"])
     save(ds, tmp_path / "a.dcm")
-    with pytest.raises(InputError, match="DICOM slice 5 cannot be decoded; export the series again"):
+    with pytest.raises(
+        InputError, match=r"DICOM slice 5 \(packed as RLE Lossless\) cannot be decoded; export the series"
+    ):
         read_volume(tmp_path / "a.dcm")
 
 
