@@ -10,6 +10,7 @@ from pathlib import Path
 from ..errors import InputError
 from .dicom import is_dicom
 from .pictures import PICTURE_ENDINGS
+from .plain_pictures import PLAIN_ENDINGS
 
 
 @dataclass(frozen=True)
@@ -36,6 +37,8 @@ def files_below(folder: Path) -> Iterator[Path]:
 def look_into(folder: Path, below: bool = True) -> FolderContents:
     """DICOM slices in the whole tree (as on a DICOM medium), or the pictures of the folder itself where those are more.
 
+    BMP and JPEG count where there is nothing else.
+
     Args:
         below: False: do not look into the folders in it.
 
@@ -52,7 +55,10 @@ def look_into(folder: Path, below: bool = True) -> FolderContents:
     if pictures:
         notes = (f"{len(dicom)} DICOM files in folders below were left out; give their folder",) if dicom else ()
         return FolderContents("pictures", tuple(pictures), notes)
-    raise InputError("the folder holds neither DICOM slices nor PNG or TIFF slices")
+    plain = [file for file in files if file.suffix.lower() in PLAIN_ENDINGS]
+    if plain:
+        return FolderContents("pictures", tuple(plain))
+    raise InputError("the folder holds neither DICOM slices nor PNG, TIFF, BMP or JPEG slices")
 
 
 def _is_dicom(file: Path) -> bool:
