@@ -101,6 +101,8 @@ def checked_unknown(stream: BinaryIO) -> dict:
     """Refuse, by its header, what OpenCV cannot read or not within bounds; else the tags, if it is a TIFF."""
     stream.seek(0)
     start = stream.read(16)
+    if not start:
+        raise InputError("the file is empty; copy or export it again")
     for magic, kind in _FLOATING.items():
         if start.startswith(magic):
             raise InputError(f"{kind} holds floating point; save it with 8 or 16 bits per channel, as PNG or TIFF")

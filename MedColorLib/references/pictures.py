@@ -19,6 +19,7 @@ from ..device import is_out_of_memory
 from ..errors import InputError
 from ..io.quiet import quiet_stderr
 from ..io.voxel_data import natural_key
+from .coded_color import CodedColor, png_color
 from .decoding import (
     IS_GREY,
     ORIENTATION,
@@ -127,7 +128,12 @@ def _read(stream: BinaryIO, name: str, long_side: int | None) -> Picture:
         return _picture(by_opencv(stream), about, long_side)
     check_size(*image.size)
     whole, is_tiff, is_deep = image.size, image.format == "TIFF", has_16_bits(image)
-    about = _About(profile=image.info.get("icc_profile"), notes=pages(image))
+    about = _About(
+        profile=image.info.get("icc_profile"),
+        notes=pages(image),
+        png=png_color(image, stream),
+        plain_inks=image.mode == "CMYK" and image.format in ("JPEG", "MPO") and "adobe" not in image.info,
+    )
     if is_tiff:  # Pillow turns a TIFF while it loads it, and forgets how; of a PNG, EXIF may follow the pixels
         about = replace(about, exif=exif_of(image))
     if long_side and max(whole) > long_side:
@@ -156,11 +162,16 @@ def _loaded(image: Image.Image) -> InputError | None:
 
 @dataclass(frozen=True)
 class _About:
-    """What the header says of the pixels: ICC profile, tags, notes; the tags' orientation is still to be undone."""
+    """What the header says of the pixels: ICC profile, tags, notes; the tags' orientation is still to be undone.
+
+    `plain_inks`: CMYK that Pillow has turned round, as Adobe's programs store it, though nothing says that they did.
+    """
 
     profile: bytes | None = None
     exif: dict = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    png: CodedColor | None = None
+    plain_inks: bool = False
 
     @property
     def turned(self) -> int | None:
@@ -198,7 +209,12 @@ def _picture(decoded: Image.Image | np.ndarray, about: _About, long_side: int | 
             notes += (f"{100 * (1 - opaque.mean()):.0f} % of it is transparent, which is no tissue",)
     if max(small.size) < max(whole):
         notes += (f"{whole[0]} x {whole[1]} pixels, read as {small.width} x {small.height}",)
-    srgb, said = to_srgb(small, about.profile, about.exif)
+    if about.plain_inks:
+        from PIL import ImageChops
+
+        small = ImageChops.invert(small)
+        notes += ("its inks are taken as they are stored, as it does not bear Adobe's mark",)
+    srgb, said = to_srgb(small, about.profile, about.exif, about.png)
     rgb = np.array(srgb)
     if opaque is not None:
         rgb[~opaque] = 0

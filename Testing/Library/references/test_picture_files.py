@@ -87,7 +87,7 @@ class TestFormats:
             (b"PF\n2 2\n-1.0\n" + bytes(48), "floating point"),
             (b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n", "not a picture that can be read"),
             (b"%PDF-1.4\n", "not a picture that can be read"),
-            (b"", "not a picture that can be read"),
+            (b"", "the file is empty; copy or export it again"),
             (bytes(4000), "not a picture that can be read"),
             (b"II*\0\x08\0\0\0" + bytes(60), "not a picture that can be read|damaged"),
             (b"GIF89a" + bytes(3), "not a picture that can be read|damaged"),
