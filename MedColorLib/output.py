@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import secrets
 import tempfile
 from collections.abc import Iterator
@@ -53,6 +54,19 @@ def check_output_path(path: str | os.PathLike, endings: tuple[str, ...] = COLOR_
     except OSError as error:
         raise OutputError(f"{path}: cannot write in {folder} ({error.strerror}); choose another folder") from error
     return ending
+
+
+def leftovers(path: str | os.PathLike) -> list[Path]:
+    """Unfinished files of `path` beside it: of a run that was killed, or of one that is still writing.
+
+    Whose they are nobody can tell here, so they are for the user to delete.
+    """
+    target = Path(os.path.realpath(path))
+    own = re.compile(rf"\.[0-9a-f]{{8}}-unfinished-{re.escape(target.name)}")
+    try:
+        return sorted(file for file in target.parent.iterdir() if own.fullmatch(file.name))
+    except OSError:
+        return []
 
 
 @contextmanager

@@ -17,7 +17,7 @@ from pathlib import Path
 from ..cohort.terminal import plain, prepare_streams, say, tell
 from ..device import is_out_of_memory
 from ..errors import Cancelled, MedColorError
-from ..output import check_output_path
+from ..output import check_output_path, leftovers
 from ..parameters import Settings
 from .guard_options import guard_of
 from .options import make_parser
@@ -191,6 +191,7 @@ def _check_outputs(arguments) -> list[Path]:
         former = taken.setdefault(_identity(path), role)
         if former != role:
             raise SettingsError(f"colorize: {path} is {former}; {role} would replace it, name another file")
+    _tell_leftovers(path for path, _ in outputs if path)
     return existing(path for path, _ in outputs if path)
 
 
@@ -224,10 +225,19 @@ def _tell_replaced(paths: Iterable[Path]) -> None:
         tell(f"{path}: the earlier file of this name was replaced")
 
 
+def _tell_leftovers(paths: Iterable[str | Path]) -> None:
+    for path in paths:
+        for left in leftovers(path):
+            tell(
+                f"{left}: left by a run that was killed, or being written now; delete it if nothing else writes {path}"
+            )
+
+
 def _render(arguments) -> None:
     from .pictures import render
 
-    former = existing([path for path in (arguments.output,) if path])
+    _tell_leftovers(path for path in (arguments.output, arguments.turntable) if path)
+    former = existing(path for path in (arguments.output, arguments.turntable) if path)
     for written in render(arguments, _Bar, _say_notes):
         say(written)
     _tell_replaced(former)

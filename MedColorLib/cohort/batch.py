@@ -12,7 +12,6 @@ import hashlib
 import json
 import logging
 import os
-import re
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -27,6 +26,7 @@ from ..io.dicom import DICOM_ENDINGS, is_dicom
 from ..io.files import check_output_path, file_sha256, input_sha256, read_volume, write_color_volume
 from ..io.nifti import is_pair
 from ..io.voxel_data import title
+from ..output import leftovers
 from ..parameters import Settings
 from ..run.resume import Resume, forget_run, forget_runs, weights_sha256
 from .workers import run_here, run_on_cluster, run_processes
@@ -375,9 +375,8 @@ def _remove_leftovers(tasks: Sequence[Task], outcomes: Sequence[Outcome]) -> Non
     """Temporary files of killed workers; matches once no volume needs them."""
     for task in tasks:
         for final in (Path(task.output), Path(task.report)):
-            own = re.compile(rf"\.[0-9a-f]{{8}}-(unfinished-{re.escape(final.name)}|{re.escape(final.name)}\.part)")
-            for partial in final.parent.glob(".*"):
-                if own.fullmatch(partial.name) and partial.is_file() and not partial.is_symlink():
+            for partial in leftovers(final):
+                if partial.is_file() and not partial.is_symlink():
                     partial.unlink(missing_ok=True)
     if all(outcome.state in ("done", "skipped") for outcome in outcomes):
         forget_runs(Path(tasks[0].store))

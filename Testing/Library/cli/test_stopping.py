@@ -167,6 +167,17 @@ class TestOutputs:
         assert main([*COLORIZE, "-o", "new.nrrd", "--report", "r.json"]) == 0
         assert capsys.readouterr().err == "medcolor: r.json: the earlier file of this name was replaced\n"
 
+    @pytest.mark.parametrize("options", [[], ["--report", "r.json"]])
+    def test_what_a_killed_run_has_left_is_said_and_stays(self, options, files, capsys):
+        names = [".0123abcd-unfinished-out.nrrd", ".0123abcd-unfinished-r.json"]
+        others = [".0123abcd-unfinished-out2.nrrd", "0123abcd-unfinished-out.nrrd", ".x-unfinished-out.nrrd"]
+        for name in (*names, *others):
+            Path(name).write_bytes(b"half")
+        assert main([*COLORIZE, "-o", "out.nrrd", *options]) == 0
+        said = capsys.readouterr().err.splitlines()
+        assert len(said) == 1 + bool(options) and f"{names[0]}: left by a run that was killed" in said[0]
+        assert {*names, *others, "out.nrrd"} <= files()
+
     def test_in_a_batch_too(self, files, capsys):
         Path("scans").mkdir()
         Path("ct.nrrd").rename("scans/ct.nrrd")
