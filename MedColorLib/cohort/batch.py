@@ -24,7 +24,7 @@ from ..device import is_out_of_memory
 from ..errors import InputError, MedColorError, OutputError, SettingsError, WeightsError
 from ..io.dicom import DICOM_ENDINGS, is_dicom
 from ..io.files import check_output_path, file_sha256, input_sha256, read_volume, write_color_volume
-from ..io.nifti import is_pair
+from ..io.nifti import is_pair, nifti_files
 from ..io.voxel_data import title
 from ..output import leftovers
 from ..parameters import Settings
@@ -199,7 +199,8 @@ def find_volumes(folder: str | os.PathLike, output_folder: str | os.PathLike) ->
         folders[:] = [name for name in folders if name not in former]
         files = [here / name for name in sorted(names) if not name.startswith(".")]
         volumes = [file for file in files if _is_volume(file)]
-        others = sorted({*files} - {*volumes})
+        pairs = {nifti_files(file)[1] for file in volumes if is_pair(file)}
+        others = sorted({*files} - {*volumes} - pairs)
         if any(map(_is_dicom, others)):
             volumes.append(here)
         else:

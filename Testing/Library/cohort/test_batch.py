@@ -28,6 +28,7 @@ class TestFinding:
 
     def test_endings_are_those_of_the_readers(self):
         others = (*batch.TIFF_ENDINGS, *batch.DICOM_ENDINGS, ".png", ".jpg", ".jpeg", ".bmp")
+        others += (".hdr", ".img", ".hdr.gz", ".img.gz")  # which count together only
         assert {*batch.VOLUME_ENDINGS, *others} == {*_READERS}
 
     def test_dicom_folders_and_pages(self, tmp_path):

@@ -55,7 +55,8 @@ def test_pairs(ending: str, kind: type, tmp_path: Path) -> None:
         assert volume.name == "a" and not volume.notes
     if kind is nib.Nifti1Pair:
         as_itk(tmp_path / f"a.hdr{ending}")
-    assert list(find_volumes(tmp_path, tmp_path / "out").volumes) == [f"a.hdr{ending}"]
+    found = find_volumes(tmp_path, tmp_path / "out")
+    assert list(found.volumes) == [f"a.hdr{ending}"] and not found.passed_over
     before = input_sha256(tmp_path / f"a.hdr{ending}")
     (tmp_path / f"a.img{ending}").write_bytes((tmp_path / f"a.img{ending}").read_bytes() + b"x")
     assert input_sha256(tmp_path / f"a.hdr{ending}") != before
