@@ -24,6 +24,7 @@ from ..device import is_out_of_memory
 from ..errors import InputError, MedColorError, OutputError, SettingsError, WeightsError
 from ..io.dicom import DICOM_ENDINGS, is_dicom
 from ..io.files import check_output_path, file_sha256, input_sha256, read_volume, write_color_volume
+from ..io.folders import VOLUME_ENDINGS
 from ..io.nifti import is_pair, nifti_files
 from ..io.voxel_data import title
 from ..output import leftovers
@@ -33,7 +34,6 @@ from .workers import run_here, run_on_cluster, run_processes
 
 log = logging.getLogger("MedColorLib")
 
-VOLUME_ENDINGS = (".nrrd", ".nhdr", ".mha", ".mhd", ".nii", ".nii.gz")
 TIFF_ENDINGS = (".tif", ".tiff")
 SUMMARY = "batch.json"
 _RESULT = "-colored.nrrd"
@@ -271,6 +271,7 @@ def color_file(
     """
     from ..pipeline import colorize
     from ..report import write_report
+    from ..run.doubts import warning_text
 
     started = time.perf_counter()
     _check_worker(task)
@@ -290,7 +291,7 @@ def color_file(
     forget_run(colored.report, resume)
     seconds = round(time.perf_counter() - started, 2)
     resumed = colored.report["resumed_slices"]
-    notes = volume.notes
+    notes = (*volume.notes, *map(warning_text, colored.report["reference_warnings"]))
     return Outcome(task.name, task.result, "done", seconds, resumed_slices=resumed, notes=notes, replaced=replaced)
 
 
