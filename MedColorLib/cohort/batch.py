@@ -26,6 +26,7 @@ from ..io.dicom import DICOM_ENDINGS, is_dicom
 from ..io.files import check_output_path, file_sha256, input_sha256, read_volume, write_color_volume
 from ..io.folders import VOLUME_ENDINGS
 from ..io.nifti import is_pair, nifti_files
+from ..io.usable import usable
 from ..io.voxel_data import title
 from ..output import leftovers
 from ..parameters import Settings
@@ -184,7 +185,7 @@ def find_volumes(folder: str | os.PathLike, output_folder: str | os.PathLike) ->
     Raises:
         InputError: missing, no folder, inside the output folder, or without a volume.
     """
-    root, results = Path(folder).resolve(), Path(output_folder).resolve()
+    root, results = usable(folder, "batch").resolve(), usable(output_folder, "batch, output").resolve()
     if not root.is_dir():
         raise InputError(f"{folder}: is not a folder; give the folder that holds the volumes")
     if root.is_relative_to(results):

@@ -202,6 +202,8 @@ def _input_errors(path: str | os.PathLike) -> Iterator[Path]:
     try:
         if not path.exists():
             raise InputError("does not exist; check the spelling")
+        if not (path.is_file() or path.is_dir()):
+            raise InputError("neither a file nor a folder")  # a pipe would be waited for
         with np.errstate(all="ignore"):  # numbers of damaged headers overflow; `Volume` refuses what comes of it
             yield _medium(path)
     except InputError as error:
@@ -245,8 +247,6 @@ _CHOICES = {read_nrrd: nrrd_choices, read_meta_image: meta_choices, read_nifti: 
 
 
 def _reader(path: Path) -> Callable[[Path, int, int | None], Volume]:
-    if not path.is_file():
-        raise InputError("neither a file nor a folder")
     if not path.stat().st_size:
         raise InputError("the file is empty; copy or export it again")
     ending = _ending(path, _READERS)

@@ -12,6 +12,7 @@ import numpy as np
 from ..device import is_out_of_memory
 from ..errors import InputError
 from ..io.label_picture import read_label_picture
+from ..io.usable import usable
 from .decoding import (
     ORIENTATION,
     checked_unknown,
@@ -70,7 +71,7 @@ def read_mask(path: Path, shape: tuple[int, int]) -> np.ndarray:
     Raises:
         InputError: missing, unreadable, of another size, or nothing in it.
     """
-    if not path.is_file():
+    if not usable(path, "reference mask").is_file():
         raise InputError(f"reference mask: no file {path}")
     try:
         with path.open("rb") as stream, quiet_pillow():

@@ -23,6 +23,7 @@ import numpy as np
 
 from ..errors import Cancelled, InputError, OutputError, SettingsError
 from ..features.download import sha256_of
+from ..io.usable import usable
 from ..io.voxel_data import natural_key
 from .given_mask import read_mask
 from .photograph import Frame, Reference, prepare_reference
@@ -156,7 +157,7 @@ def add_library(
         SettingsError: no such name. OutputError: the cache folder cannot be written.
         Cancelled: what was prepared is kept, and the next call goes on from there.
     """
-    folder = Path(folder)
+    folder = usable(folder, "library add")
     if not folder.is_dir():
         raise InputError(f"library add: no folder {folder}")
     name = checked_name(name if name is not None else re.sub(r"[^a-z0-9._-]+", "-", folder.resolve().name.lower()))

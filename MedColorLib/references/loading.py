@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError
+from ..io.usable import usable
 from ..volume import ColorVolume
 from .color_sections import COLOR_SUFFIXES, read_sections, sections
 from .exposure import expose
@@ -72,7 +73,7 @@ def _of(item, number: int, mask: Path | None) -> list[Reference]:
         raise InputError(f"reference {number + 1}: expected a path, the name of a library or an array, got {kind}")
     if not os.fspath(item).strip():
         raise InputError("reference: the name is empty; name a colour picture, a folder, a colour volume or a library")
-    path = Path(item)
+    path = usable(item, "reference")
     if mask is not None and (not path.exists() or _is_volume(path)):
         raise InputError(f"reference mask {mask.name}: {_MASKS_FOR}")
     if path.is_dir():
