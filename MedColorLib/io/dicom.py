@@ -161,9 +161,10 @@ def _window(frames: Sequence[Frame], notes: list[str]) -> tuple[float, float] | 
     turned = [frame for frame in frames if frame.pixels and frame.pixels.inverted]
     if turned:
         low, high = turned[0].pixels.limits
+        some = "" if len(turned) == len(frames) else f" of {len(turned)} of {len(frames)} images"
         rest = "" if any(frame.window is None for frame in frames) else ", and the window with them"
         notes.append(
-            f"MONOCHROME1: larger stored numbers are meant to look darker; they were turned round ({low + high} minus the "
+            f"MONOCHROME1{some}: larger stored numbers are meant to look darker; they were turned round ({low + high} minus the "
             f"number){rest}"
         )
     windows = [_turned(frame) for frame in frames if frame.window]

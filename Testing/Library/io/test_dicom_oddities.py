@@ -127,6 +127,13 @@ def test_a_slice_without_the_scale_of_the_others(tmp_path: Path) -> None:
     assert "1 of 8 images have no rescale slope in their header; their values are as stored" in volume.notes
 
 
+def test_a_slice_that_is_meant_the_other_way_round_is_counted(tmp_path: Path) -> None:
+    save_series(tmp_path, PhotometricInterpretation=lambda n: "MONOCHROME1" if n == 3 else "MONOCHROME2")
+    volume = read_volume(tmp_path)
+    np.testing.assert_array_equal(volume.array[3], 65535 - ARRAY[3])
+    assert volume.notes[0].startswith("MONOCHROME1 of 1 of 8 images: larger stored numbers are meant to look darker")
+
+
 def test_a_slope_of_zero_and_a_table_are_said(tmp_path: Path) -> None:
     table = Dataset()
     table.add_new(0x00283002, "US", [4, 0, 16])

@@ -43,6 +43,15 @@ def test_what_lies_in_the_root_hides_nothing(beside: str, tmp_path: Path) -> Non
     assert ("1 PNG or TIFF pictures beside" in volume.notes[0]) == (beside == "logo")
 
 
+def test_slices_that_are_named_as_pictures(tmp_path: Path) -> None:
+    save_stack(tmp_path, A, HEIGHTS)
+    for file in tmp_path.glob("*.dcm"):
+        file.rename(file.with_suffix(".png"))
+    volume = read_volume(tmp_path)
+    np.testing.assert_array_equal(volume.array, A)
+    assert not volume.notes
+
+
 @pytest.mark.parametrize("kind", ["dicom", "png", "bmp"])
 def test_volume_files_beside_are_said(kind: str, tmp_path: Path) -> None:
     if kind == "dicom":
