@@ -53,6 +53,16 @@ def read_label_picture(path: str | os.PathLike) -> np.ndarray:
     return np.ascontiguousarray(picture if picture.ndim == 2 else picture[..., 0])
 
 
+def has_whole_chunks(data: bytes | memoryview) -> bool:
+    """Whether every chunk of a PNG ends inside the file: OpenCV takes memory for as much as a chunk says it holds."""
+    at = len(_MAGIC)
+    while at < len(data):
+        if at + 12 > len(data) or data[at + 4 : at + 8] == b"IEND":
+            return data[at + 4 : at + 8] == b"IEND"
+        at += 12 + int.from_bytes(data[at : at + 4], "big")
+    return at == len(data)
+
+
 def _with_plain_values(data: bytes, name: str) -> bytes:
     """The same PNG without ancillary chunks, palette or few-bit grey shown through a palette where entry n is n."""
     if not data.startswith(_MAGIC):

@@ -18,6 +18,7 @@ from ..errors import InputError
 from ..volume import Volume
 from .choice import Choice, chosen_note, pick
 from .grey import grey_of
+from .label_picture import has_whole_chunks
 from .picture_names import NamedSeries, named_series
 from .plain_pictures import PLAIN_ENDINGS, plain_size, read_plain
 from .quiet import quiet_cv2
@@ -248,7 +249,7 @@ def _png(path: Path, max_bytes: int, notes: set[str]) -> np.ndarray:
     if rows * (columns * shape[2] * bits // 8) > path.stat().st_size * MAX_DEFLATE_RATIO:
         raise InputError(IS_TRUNCATED)
     data = path.read_bytes()
-    if not _has_whole_chunks(data):
+    if not has_whole_chunks(data):
         raise InputError(IS_TRUNCATED)
     with quiet_cv2():
         try:
@@ -258,16 +259,6 @@ def _png(path: Path, max_bytes: int, notes: set[str]) -> np.ndarray:
     if picture is None:
         raise InputError("not a readable PNG or TIFF image, or cut short; copy or export it again")
     return picture if picture.ndim == 2 else grey_of(picture, _PNG_KINDS.get(kind, "colours"), notes)
-
-
-def _has_whole_chunks(data: bytes) -> bool:
-    """Whether every chunk of a PNG ends inside the file: OpenCV takes memory for as much as a chunk says it holds."""
-    at = 8
-    while at < len(data):
-        if at + 12 > len(data) or data[at + 4 : at + 8] == b"IEND":
-            return data[at + 4 : at + 8] == b"IEND"
-        at += 12 + int.from_bytes(data[at : at + 4], "big")
-    return at == len(data)
 
 
 def _png_spacing(path: Path) -> tuple[float | None, float | None, float | None]:

@@ -257,7 +257,9 @@ def _by_opencv(path: Path, page, notes: set[str]) -> np.ndarray:
     import cv2
 
     with quiet_cv2():
-        try:
+        try:  # OpenCV reads planes of single colours wrongly
+            if page.planarconfig == 2 and page.samplesperpixel > 1:
+                raise cv2.error
             _, found = cv2.imdecodemulti(np.fromfile(path, np.uint8), cv2.IMREAD_UNCHANGED)
         except cv2.error:
             found = ()

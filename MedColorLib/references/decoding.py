@@ -17,6 +17,7 @@ import numpy as np
 
 from ..device import is_out_of_memory
 from ..errors import InputError
+from ..io.label_picture import has_whole_chunks
 from ..io.quiet import quiet_cv2, quiet_stderr
 from .to_srgb import TAG_GROUPS
 
@@ -35,7 +36,11 @@ _FORMATS = (
 MAX_PIXELS = 178_956_970  # of more, Pillow, too, takes a picture for a decompression bomb
 
 _UNREADABLE = "not a picture that can be read; use PNG, JPEG or TIFF"
+_CUT = "the picture is damaged or cut short; copy or export it again"
 IS_GREY = "a grey picture; the reference must be a colour photograph (RGB)"
+_YCBCR = 6
+_BITS, _SAMPLES, _PLANAR, _SEPARATE = 258, 277, 284, 2
+_MAX_RATIO = 4096  # of packed strips; no photograph is packed more than that
 _MAX_FILE_BYTES = 2 << 30  # for OpenCV; MAX_PIXELS of four channels with 16 bits and no compression are less
 _TIFF_MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 # PNG, JPEG, GIF, BMP, RIFF: what Pillow does not take for one is damaged; OpenCV would take gigabytes for some of them.
@@ -134,6 +139,64 @@ def _tiff_tags(stream: BinaryIO) -> dict:
         return dict(tags)
 
 
+def _from_planes(stream: BinaryIO) -> np.ndarray:
+    """A TIFF with a plane for each colour, which OpenCV reads wrongly."""
+    import tifffile
+
+    stream.seek(0)
+    with decoding():
+        try:
+            with tifffile.TiffFile(stream, is_ome=False, _multifile=False) as file:
+                planes = file.pages[0].asarray(maxworkers=1)
+        except (ValueError, KeyError) as error:
+            if "imagecodecs" in str(error):
+                raise InputError(
+                    "a TIFF with a packed plane for each colour; save it as an ordinary TIFF or PNG"
+                ) from error
+            raise
+    values = np.moveaxis(planes, 0, -1)[..., [2, 1, 0, 3][: min(len(planes), 4)]] if len(planes) > 2 else planes[0]
+    check_size(*values.shape[1::-1])
+    return np.ascontiguousarray(values)
+
+
+def check_strips(tags: dict, size: int) -> None:
+    """Refuse a TIFF of which a part is not there: Pillow leaves it black, OpenCV as its memory was.
+
+    Args:
+        tags: number -> value of its directory.
+        size: of the file in bytes.
+
+    Raises:
+        InputError: strips or tiles are fewer than its size needs, or lie outside the file.
+    """
+    with decoding():
+        whole = _has_whole_strips(tags, size)
+    if not whole:
+        raise InputError(_CUT)
+
+
+def _has_whole_strips(tags: dict, size: int) -> bool:
+    width, height, rows = tags.get(256, 0), tags.get(257, 0), tags.get(278, tags.get(257, 0))
+    bits = tags.get(258, (1,))
+    bits = sum(bits) if isinstance(bits, tuple) else bits * tags.get(277, 1)
+    planes = tags.get(277, 1) if tags.get(284, 1) == 2 else 1
+    tiled = 324 in tags
+    places, lengths = (_listed(tags.get(code, ())) for code in ((324, 325) if tiled else (273, 279)))
+    needed = width * height * bits // (24 if tags.get(262) == _YCBCR else 8)  # its colours may be fewer than its pixels
+    if places and not lengths:  # as some old files are
+        lengths = (needed // len(places),) * len(places)
+    if not places or len(places) != len(lengths) or min(rows, tags.get(322, 1), tags.get(323, 1)) < 1:
+        return False
+    count = -(-width // tags[322]) * -(-height // tags[323]) if tiled else -(-height // rows)
+    packed = 1 if tags.get(259, 1) == 1 else _MAX_RATIO
+    inside = all(place + length <= size for place, length in zip(places, lengths))
+    return inside and len(places) >= count * planes and sum(lengths) * packed >= needed
+
+
+def _listed(values) -> tuple:
+    return values if isinstance(values, tuple) else (values,)
+
+
 def exif_of(image: Image.Image) -> dict:
     """Orientation, and what tells the colour space; without what is damaged."""
     found: dict = {}
@@ -149,10 +212,12 @@ def exif_of(image: Image.Image) -> dict:
 
 
 def has_16_bits(image: Image.Image) -> bool:
-    """Whether its channels are stored with 16 bits, of which Pillow gives 8."""
+    """Whether its channels are stored with 16 bits, of which Pillow gives 8 (and of planes of single colours none)."""
+    if image.format == "TIFF" and image.mode in ("RGB", "RGBA", "RGBX"):
+        return 16 in _listed(image.tag_v2.get(_BITS, 8))
     arguments = image.tile[0][3] if image.tile else ""
     raw = arguments if isinstance(arguments, str) else next((a for a in arguments or () if isinstance(a, str)), "")
-    return image.mode in ("RGB", "RGBA") and image.format in ("PNG", "TIFF") and ";16" in raw
+    return image.mode in ("RGB", "RGBA") and image.format == "PNG" and ";16" in raw
 
 
 def pages(image: Image.Image) -> tuple[str, ...]:
@@ -182,6 +247,14 @@ def stored_values(stream: BinaryIO) -> np.ndarray:
         raise InputError(_UNREADABLE)
     data = np.empty(size, np.uint8)
     data = data[: stream.readinto(data.data)]
+    start = data[:4].tobytes()
+    if start == b"\x89PNG" and not has_whole_chunks(memoryview(data)):
+        raise InputError(_CUT)
+    if start in _TIFF_MAGIC:
+        tags = _tiff_tags(stream)
+        check_strips(tags, size)
+        if tags.get(_PLANAR) == _SEPARATE and tags.get(_SAMPLES, 1) > 1:
+            return _from_planes(stream)
     flags = cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION
     with decoding(), quiet_cv2(), quiet_stderr():
         values = cv2.imdecode(_as_stored(data), flags)

@@ -26,6 +26,7 @@ from .decoding import (
     TURNS,
     by_opencv,
     check_size,
+    check_strips,
     checked_unknown,
     decoding,
     exif_of,
@@ -135,6 +136,7 @@ def _read(stream: BinaryIO, name: str, long_side: int | None) -> Picture:
         plain_inks=image.mode == "CMYK" and image.format in ("JPEG", "MPO") and "adobe" not in image.info,
     )
     if is_tiff:  # Pillow turns a TIFF while it loads it, and forgets how; of a PNG, EXIF may follow the pixels
+        check_strips(dict(image.tag_v2), os.fstat(stream.fileno()).st_size)
         about = replace(about, exif=exif_of(image))
     if long_side and max(whole) > long_side:
         image.draft(None, _fitting(whole, long_side))
