@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import itertools
-import logging
 import math
 import struct
-import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -17,7 +15,7 @@ import numpy as np
 from ..errors import InputError, MissingPackageError
 from .choice import checked_count
 from .grey import grey_of
-from .quiet import quiet_cv2
+from .quiet import quiet_cv2, quiet_tifffile
 from .tiff_spacing import spacing_mm
 from .voxel_data import IS_TRUNCATED, check_size
 
@@ -57,24 +55,19 @@ def _opened(path: Path) -> Iterator:
         import tifffile
     except ImportError as error:
         raise MissingPackageError("TIFF needs the package tifffile: pip install tifffile") from error
-    logger = logging.getLogger("tifffile")
-    before, logger.disabled = logger.disabled, True
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            with path.open("rb") as stream, tifffile.TiffFile(stream, name=path.name, _multifile=False) as file:
-                if file.is_ome and any(page is None for series in file.series for page in series.pages):
-                    stream.seek(0)  # one file of many: its words speak of pages that lie in others
-                    with tifffile.TiffFile(stream, name=path.name, is_ome=False) as alone:
-                        yield alone
-                else:
+        with quiet_tifffile(), path.open("rb") as stream:
+            with tifffile.TiffFile(stream, name=path.name, _multifile=False) as file:
+                if not (file.is_ome and any(page is None for series in file.series for page in series.pages)):
                     yield file
+                    return
+            stream.seek(0)  # one file of many: its words speak of pages that lie in others
+            with tifffile.TiffFile(stream, name=path.name, is_ome=False) as alone:
+                yield alone
     except (InputError, OSError, MemoryError, MissingPackageError):
         raise
     except Exception as error:  # whatever a damaged file makes its parts raise
         raise InputError(f"not a readable TIFF, or cut short ({error}); copy or export it again") from error
-    finally:
-        logger.disabled = before
 
 
 def tiff_stacks(path: Path) -> list[TiffStack]:

@@ -18,7 +18,7 @@ import numpy as np
 from ..device import is_out_of_memory
 from ..errors import InputError
 from ..io.label_picture import has_whole_chunks
-from ..io.quiet import quiet_cv2, quiet_stderr
+from ..io.quiet import quiet_cv2, quiet_stderr, quiet_tifffile
 from .to_srgb import TAG_GROUPS
 
 if TYPE_CHECKING:
@@ -38,7 +38,8 @@ MAX_PIXELS = 178_956_970  # of more, Pillow, too, takes a picture for a decompre
 _UNREADABLE = "not a picture that can be read; use PNG, JPEG or TIFF"
 _CUT = "the picture is damaged or cut short; copy or export it again"
 IS_GREY = "a grey picture; the reference must be a colour photograph (RGB)"
-_YCBCR = 6
+_RGB, _YCBCR = 2, 6
+_EXTRA = 338
 _BITS, _SAMPLES, _PLANAR, _SEPARATE = 258, 277, 284, 2
 _MAX_RATIO = 4096  # of packed strips; no photograph is packed more than that
 _MAX_FILE_BYTES = 2 << 30  # for OpenCV; MAX_PIXELS of four channels with 16 bits and no compression are less
@@ -127,16 +128,11 @@ def checked_unknown(stream: BinaryIO) -> dict:
 
 def _tiff_tags(stream: BinaryIO) -> dict:
     """Number -> value of the first directory."""
-    from PIL.TiffImagePlugin import ImageFileDirectory_v2
+    import tifffile
 
-    with decoding():
-        stream.seek(0)
-        start = stream.read(8)
-        start += stream.read(8) if b"+" in start[2:4] else b""  # BigTIFF
-        tags = ImageFileDirectory_v2(start)
-        stream.seek(tags.next)
-        tags.load(stream)
-        return dict(tags)
+    stream.seek(0)
+    with decoding(), quiet_tifffile(), tifffile.TiffFile(stream, is_ome=False, _multifile=False) as file:
+        return {tag.code: tag.value for tag in file.pages[0].tags}
 
 
 def _from_planes(stream: BinaryIO) -> np.ndarray:
@@ -144,7 +140,7 @@ def _from_planes(stream: BinaryIO) -> np.ndarray:
     import tifffile
 
     stream.seek(0)
-    with decoding():
+    with decoding(), quiet_tifffile():
         try:
             with tifffile.TiffFile(stream, is_ome=False, _multifile=False) as file:
                 planes = file.pages[0].asarray(maxworkers=1)
@@ -254,14 +250,23 @@ def stored_values(stream: BinaryIO) -> np.ndarray:
         tags = _tiff_tags(stream)
         check_strips(tags, size)
         if tags.get(_PLANAR) == _SEPARATE and tags.get(_SAMPLES, 1) > 1:
-            return _from_planes(stream)
+            return _without_extra(_from_planes(stream), tags)
+    else:
+        tags = {}
     flags = cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION
     with decoding(), quiet_cv2(), quiet_stderr():
         values = cv2.imdecode(_as_stored(data), flags)
     if values is None:
         raise InputError(_UNREADABLE)
     check_size(*values.shape[1::-1])
-    return values
+    return _without_extra(values, tags)
+
+
+def _without_extra(values: np.ndarray, tags: dict) -> np.ndarray:
+    """Without a fourth channel that the header of a TIFF does not call transparency."""
+    extra = _listed(tags.get(_EXTRA, ()))
+    unknown = bool(extra) and extra[0] == 0 and tags.get(262) == _RGB
+    return np.ascontiguousarray(values[..., :3]) if unknown and values.ndim == 3 and values.shape[2] == 4 else values
 
 
 def _as_stored(data: np.ndarray) -> np.ndarray:

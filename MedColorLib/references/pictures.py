@@ -55,6 +55,7 @@ LONG_SIDE_PX = 2048  # of what is read; the body in it is cut out and made small
 _GREY = ("1", "L", "LA", "La", "I", "F")  # and I;16 of several orders of bytes
 _TURNED = "turned upright, as the orientation in its header says"
 _BAND_BYTES = 16 << 20  # of rows that are made smaller together
+_PROFILE = 34675  # the tag of an embedded ICC profile
 _TRANSPARENT = 127  # of 255, and below
 
 
@@ -125,7 +126,8 @@ def _read(stream: BinaryIO, name: str, long_side: int | None) -> Picture:
     with decoding():
         image = opened(stream, name)
     if image is None:
-        about = _About(exif=checked_unknown(stream))
+        tags = checked_unknown(stream)
+        about = _About(profile=tags.get(_PROFILE), exif=tags)
         return _picture(by_opencv(stream), about, long_side)
     check_size(*image.size)
     whole, is_tiff, is_deep = image.size, image.format == "TIFF", has_16_bits(image)

@@ -147,6 +147,18 @@ class TestFormats:
         tifffile.imwrite(tmp_path / "p.tif", planes, compression=compression, **options)
         assert far(load_picture(tmp_path / "p.tif").rgb, colors) == 0
 
+    @pytest.mark.parametrize("order", ["<", ">"])
+    @pytest.mark.parametrize("dtype", ["u1", "u2"])
+    @pytest.mark.parametrize("big", [False, True])
+    def test_a_fourth_channel_of_a_tiff_that_is_no_transparency(self, big, dtype, order, colors, tmp_path):
+        import tifffile
+
+        values = np.dstack([colors, np.zeros(SHAPE, np.uint8)]).astype(dtype) * (257 if dtype == "u2" else 1)
+        options = {"photometric": "rgb", "extrasamples": ["unspecified"], "bigtiff": big, "byteorder": order}
+        tifffile.imwrite(tmp_path / "p.tif", values, **options)
+        picture = load_picture(tmp_path / "p.tif")
+        assert far(picture.rgb, colors) == 0 and picture.opaque is None
+
     @pytest.mark.parametrize("length", [0x7FFFFFFF, 0x10000000])
     def test_a_chunk_longer_than_the_file_never_reaches_opencv(self, length, colors, tmp_path, monkeypatch):
         """It would take as much memory as the chunk says that it holds."""
