@@ -56,11 +56,12 @@ def read_label_picture(path: str | os.PathLike) -> np.ndarray:
 def has_whole_chunks(data: bytes | memoryview) -> bool:
     """Whether every chunk of a PNG ends inside the file: OpenCV takes memory for as much as a chunk says it holds."""
     at = len(_MAGIC)
-    while at < len(data):
-        if at + 12 > len(data) or data[at + 4 : at + 8] == b"IEND":
-            return data[at + 4 : at + 8] == b"IEND"
-        at += 12 + int.from_bytes(data[at : at + 4], "big")
-    return at == len(data)
+    while at + 12 <= len(data):
+        length = int.from_bytes(data[at : at + 4], "big")
+        if data[at + 4 : at + 8] == b"IEND":
+            return length == 0
+        at += 12 + length
+    return False
 
 
 def _with_plain_values(data: bytes, name: str) -> bytes:
