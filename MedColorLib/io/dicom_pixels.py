@@ -99,7 +99,7 @@ def _stored(frame: Frame, pixels: Pixels) -> np.ndarray:
     elif pixels.offset < 0:
         data = _unpacked(frame.path)[number * size : (number + 1) * size]
     elif pixels.syntax == _RUN_LENGTHS:  # GDCM refuses some that are as the standard wants them
-        return _run_lengths(frame.path, number).reshape(shape).astype(pixels.stored)
+        return _used_bits(_run_lengths(frame.path, number, pixels).reshape(shape).astype(pixels.stored), pixels)
     else:
         return _by_gdcm(_packed_frames(frame.path, pixels.frames)[number], pixels)
     if len(data) < size:
@@ -125,17 +125,22 @@ def _unpacked(path: Path) -> bytes:
         return pydicom.dcmread(path, force=True).PixelData
 
 
-def _run_lengths(path: Path, number: int) -> np.ndarray:
-    """One frame, unpacked by pydicom."""
+def _run_lengths(path: Path, number: int, pixels: Pixels) -> np.ndarray:
+    """One frame, unpacked by pydicom, which would drop the bits above the number, wherever that begins."""
     import pydicom
 
+    allocated, stored, high = pixels.bits
     with quiet_pydicom():
+        source = path
+        if high != stored - 1:
+            source = pydicom.dcmread(path, force=True)
+            source.BitsStored, source.HighBit = allocated, allocated - 1
         try:
             from pydicom.pixels import pixel_array
         except ImportError:  # pydicom 2, as Python 3.9 needs it
             whole = pydicom.dcmread(path, force=True).pixel_array
             return whole[number] if whole.ndim == 3 else whole
-        return pixel_array(path, index=number, raw=True)
+        return pixel_array(source, index=number, raw=True)
 
 
 @lru_cache(maxsize=1)
