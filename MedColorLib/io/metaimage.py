@@ -4,6 +4,7 @@ memory held, and damaged headers crash it.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -46,7 +47,34 @@ def read_meta_image(path: Path, max_bytes: int, number: int | None = None) -> Vo
     kind = fields["ElementType"]
     if kind not in _META_TYPES:
         raise InputError(f"MetaImage type {kind!r} is not an integer or float type")
-    dtype = np.dtype(_META_TYPES[kind])
+    array = _meta_voxels(path, fields, end, shape, np.dtype(_META_TYPES[kind]), max_bytes)
+    notes = [*chosen_note(choices, index, number), *notes]
+    return Volume(array[index] if len(shape) == 4 else array, matrix, name=title(path), notes=tuple(notes))
+
+
+def read_meta_colors(
+    path: Path, max_bytes: int, check: Callable[[str, Sequence[int], int], None]
+) -> tuple[np.ndarray, np.ndarray]:
+    """(k, j, i, channels), and (4, 4) IJK to RAS.
+
+    Args:
+        check: called with type, size along i, j, k and channels; raises where they are not wanted.
+    """
+    fields, end = meta_fields(path)
+    kind = fields["ElementType"].replace("_ARRAY", "")
+    try:
+        channels = int(fields.get("ElementNumberOfChannels", 1))
+    except ValueError as error:
+        raise InputError(f"not a valid MetaImage header ({error})") from error
+    shape, matrix, _ = _meta_geometry({**fields, "ElementNumberOfChannels": "1", "ElementType": kind})
+    dtype = np.dtype(_META_TYPES.get(kind, "V1"))
+    check(dtype.name if kind in _META_TYPES else kind, shape[::-1], channels)
+    return _meta_voxels(path, fields, end, (*shape, channels), dtype, max_bytes), matrix
+
+
+def _meta_voxels(
+    path: Path, fields: dict[str, str], end: int, shape: tuple[int, ...], dtype: np.dtype, max_bytes: int
+) -> np.ndarray:
     check_size(shape, dtype, max_bytes)
     big_endian = _is_true(fields, "BinaryDataByteOrderMSB") or _is_true(fields, "ElementByteOrderMSB")
     encoding = (
@@ -58,9 +86,7 @@ def read_meta_image(path: Path, max_bytes: int, number: int | None = None) -> Vo
         raise InputError(f"not a valid MetaImage header ({error})") from error
     attached = fields["ElementDataFile"].upper() == "LOCAL"
     source, start = (path, end) if attached else (data_file(path, fields["ElementDataFile"]), 0)
-    array = read_voxels(source, start, shape, dtype.newbyteorder(">" if big_endian else "<"), encoding, skip=skip)
-    notes = [*chosen_note(choices, index, number), *notes]
-    return Volume(array[index] if len(shape) == 4 else array, matrix, name=title(path), notes=tuple(notes))
+    return read_voxels(source, start, shape, dtype.newbyteorder(">" if big_endian else "<"), encoding, skip=skip)
 
 
 def meta_choices(path: Path) -> list[Choice]:

@@ -32,6 +32,7 @@ from pathlib import Path
 import numpy as np
 from sound_files import (
     PHOTOGRAPH_SHAPE,
+    make_colors,
     make_dicom,
     make_labels,
     make_library,
@@ -108,6 +109,13 @@ def read_photograph(path: Path) -> None:
     load_picture(path)
 
 
+def read_color_volume(path: Path) -> None:
+    """A colour volume as references."""
+    from MedColorLib.references.color_sections import read_sections
+
+    read_sections(path)
+
+
 def read_library(path: Path) -> None:
     """An index, and the references that it names."""
     from MedColorLib.references.library import read_index
@@ -127,6 +135,7 @@ KINDS: dict[str, tuple[Callable[[Path], None], Callable[[Path], None], str]] = {
     "tiff": (make_tiff, read_scan, "*.tif"),
     "plain": (make_plain, read_slices, "*/*.*"),
     "photograph": (make_photographs, read_photograph, "p.*"),
+    "colors": (make_colors, read_color_volume, "*.[mn]*"),
     "labels": (make_labels, read_labels, "*.png"),
     "library": (make_library, read_library, "*.json"),
 }

@@ -188,6 +188,15 @@ def make_photographs(folder: Path) -> None:
     (folder / "p.apng").write_bytes(data[:33] + b"".join(chunks) + data[33:])
 
 
+def make_colors(folder: Path) -> None:
+    """Colour volumes: raw, packed and detached."""
+    import SimpleITK as sitk
+
+    image = sitk.GetImageFromArray(np.repeat(_array("u1")[..., None] + 1, 3, axis=3), isVector=True)
+    for name in ("a.mha", "b.mha", "c.mhd", "d.nrrd", "e.nii", "f.nii.gz"):
+        sitk.WriteImage(image, str(folder / name), useCompression=name == "b.mha")
+
+
 def make_labels(folder: Path) -> None:
     """Label pictures: 8 bits, 16 bits, palette."""
     import cv2
