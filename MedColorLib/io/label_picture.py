@@ -33,7 +33,7 @@ def read_label_picture(path: str | os.PathLike) -> np.ndarray:
     """
     import cv2
 
-    from .pictures import quiet_cv2
+    from .quiet import quiet_cv2
 
     name = os.path.basename(path)
     if not os.path.isfile(path):

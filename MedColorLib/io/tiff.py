@@ -58,11 +58,13 @@ def _opened(path: Path) -> Iterator:
     try:
         with quiet_tifffile(), path.open("rb") as stream:
             with tifffile.TiffFile(stream, name=path.name, _multifile=False) as file:
+                len(file.pages)  # counts them, and so notices pages that lead round in a circle; reading on would not
                 if not (file.is_ome and any(page is None for series in file.series for page in series.pages)):
                     yield file
                     return
             stream.seek(0)  # one file of many: its words speak of pages that lie in others
             with tifffile.TiffFile(stream, name=path.name, is_ome=False) as alone:
+                len(alone.pages)
                 yield alone
     except (InputError, OSError, MemoryError, MissingPackageError):
         raise
@@ -80,6 +82,9 @@ def tiff_stacks(path: Path) -> list[TiffStack]:
     with _opened(path) as file:
         if len(file.pages) != pages:
             raise InputError(IS_TRUNCATED)
+        held = sum(len(series.pages) for series in file.series)
+        if file.series and file.series[0].kind == "generic" and held < pages:
+            raise InputError(f"{pages - held} of its {pages} pages hold no picture; copy or export it again")
         found: list[TiffStack] = []
         pictures = [index for index, series in enumerate(file.series) if not series.keyframe.is_reduced]
         for index in pictures or range(len(file.series)):  # without previews

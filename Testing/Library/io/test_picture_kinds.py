@@ -42,6 +42,20 @@ def test_pages_of_two_sizes_written_one_by_one(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_volume(tmp_path / "a.tif", volume=2).array, A[[0, 3], :5, :5])
 
 
+@pytest.mark.parametrize("leads", ["round in a circle", "to an empty page"])
+def test_pages_that_lead_nowhere(leads: str, tmp_path: Path) -> None:
+    cv2.imwritemulti(str(tmp_path / "a.tif"), list(A))
+    with tifffile.TiffFile(tmp_path / "a.tif") as file:
+        places = [page.offset for page in file.pages]
+    data = bytearray((tmp_path / "a.tif").read_bytes())
+    last = places[-1] + 2 + 12 * int.from_bytes(data[places[-1] : places[-1] + 2], "little")
+    target = places[2] if leads == "round in a circle" else len(data)
+    data[last : last + 4] = target.to_bytes(4, "little")
+    (tmp_path / "a.tif").write_bytes(bytes(data) + bytes(6))
+    with pytest.raises(InputError, match=r"1 of its 7 pages hold no picture|before its last voxel"):
+        read_volume(tmp_path / "a.tif")
+
+
 @pytest.mark.parametrize("shape", [(1, 6, 1, 7, 9), (6, 1, 7, 9), (1, 1, 6, 7, 9)])
 def test_axes_of_length_one_without_names(shape: tuple[int, ...], tmp_path: Path) -> None:
     tifffile.imwrite(tmp_path / "a.tif", A.reshape(shape), photometric="minisblack")
