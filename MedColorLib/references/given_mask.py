@@ -71,7 +71,9 @@ def read_mask(path: Path, shape: tuple[int, int]) -> np.ndarray:
     Raises:
         InputError: missing, unreadable, of another size, or nothing in it.
     """
-    if not usable(path, "reference mask").is_file():
+    if usable(path, "reference mask").is_dir():
+        raise InputError(f"reference mask {path.name}: a folder, and the reference is one picture; give a picture")
+    if not path.is_file():
         raise InputError(f"reference mask: no file {path}")
     try:
         with path.open("rb") as stream, quiet_pillow():

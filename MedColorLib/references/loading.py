@@ -51,8 +51,14 @@ def load_references(
     Raises:
         InputError: none given, or one that cannot be used; of a folder, none that can.
     """
-    if isinstance(references, (str, Path, np.ndarray, ColorVolume)):
+    if isinstance(references, (str, os.PathLike, np.ndarray, ColorVolume)):
         references = [references]
+    try:
+        references = list(references)
+    except TypeError as error:
+        raise InputError(
+            f"references: expected paths, names of libraries or arrays, got {type(references).__name__}"
+        ) from error
     prepared: list[Reference] = []
     for number, (item, mask) in enumerate(zip(references, masks_for(masks, len(references)))):
         prepared += [shrunk(reference, LONG_SIDE_PX) for reference in _of(item, number, mask)]

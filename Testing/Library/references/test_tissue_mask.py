@@ -212,6 +212,15 @@ class TestGiven:
         with pytest.raises(InputError, match="no file"):
             load_references([body(BACKGROUNDS["wood"])[0]], masks=["a.png"])
 
+    def test_a_folder_for_one_photograph(self, tmp_path):
+        with pytest.raises(InputError, match="a folder, and the reference is one picture"):
+            load_references([body(BACKGROUNDS["wood"])[0]], masks=[str(tmp_path)])
+
+    @pytest.mark.parametrize("references", [None, 3, [np.zeros((0, 9, 3), np.uint8)], [b"a.png"]])
+    def test_what_can_be_no_reference(self, references):
+        with pytest.raises(InputError, match="expected"):
+            load_references(references)
+
     def test_settings(self):
         assert Settings(reference_masks="m.png").reference_masks == ("m.png",)
         assert Settings.from_dict(Settings(reference_masks=["m.png", None]).to_dict()).reference_masks == (
