@@ -200,12 +200,19 @@ def read_index(folder: Path) -> dict:
     try:
         index = json.loads((folder / INDEX).read_text(encoding="utf-8"))
         _check_index(index)
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError, OverflowError) as error:
         raise InputError(f"library {folder.name}: its {INDEX} is missing or damaged; {again}") from error
     for name in (entry["file"] for entry in index["pictures"]):
-        if not _INSIDE.fullmatch(name) or (folder / name).is_symlink():
+        if not _lies_inside(folder, name):
             raise InputError(f"library {folder.name}: its {INDEX} names {name!r}, which lies outside of it; {again}")
     return index
+
+
+def _lies_inside(folder: Path, name: str) -> bool:
+    try:
+        return bool(_INSIDE.fullmatch(name)) and not (folder / name).is_symlink()
+    except OSError:  # longer than any file's name
+        return False
 
 
 def _check_index(index: dict) -> None:
