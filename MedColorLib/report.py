@@ -6,14 +6,12 @@ import hashlib
 import json
 import os
 import platform
-import secrets
 import sys
 from pathlib import Path
 
 import numpy as np
 
-from .errors import OutputError
-from .output import followed
+from .output import atomic_output
 
 _PACKAGES = (
     *("medcolor", "torch", "numpy", "scipy", "opencv-contrib-python-headless", "pillow", "SimpleITK", "pydicom"),
@@ -63,12 +61,5 @@ def write_report(report: dict, path: str | Path) -> None:
     Raises:
         OutputError: the folder is missing or cannot be written.
     """
-    path = followed(path)
-    temporary = path.with_name(f".{secrets.token_hex(4)}-{path.name}.part")  # several may write the same one
-    try:
+    with atomic_output(path) as temporary:
         temporary.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
-        os.replace(temporary, path)
-    except OSError as error:
-        raise OutputError(f"report {path}: cannot be written ({error.strerror})") from error
-    finally:
-        temporary.unlink(missing_ok=True)

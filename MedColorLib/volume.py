@@ -11,10 +11,14 @@ from .errors import InputError
 
 def _checked_geometry(ijk_to_ras: np.ndarray) -> np.ndarray:
     matrix = np.array(ijk_to_ras, dtype=np.float64)
-    if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
-        raise InputError(f"geometry: expected a finite 4 x 4 IJK-to-RAS matrix, got shape {matrix.shape}")
+    if matrix.shape != (4, 4):
+        raise InputError(f"geometry: expected a 4 x 4 IJK-to-RAS matrix, got shape {matrix.shape}")
+    if not np.isfinite(matrix).all():
+        raise InputError("geometry: numbers that are not finite; repair origin, spacing and directions in the header")
     if abs(np.linalg.det(matrix[:3, :3] / np.maximum(np.linalg.norm(matrix[:3, :3], axis=0), 1e-300))) < 1e-6:
-        raise InputError("geometry: the three axis directions are not independent; repair the header's directions")
+        raise InputError(
+            "geometry: an axis has no length, or directions are not independent; repair spacing and directions in the header"
+        )
     matrix.setflags(write=False)
     return matrix
 

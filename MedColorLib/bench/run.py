@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import platform
-import secrets
 import time
 from collections.abc import Callable, Sequence
 from importlib import import_module
@@ -12,7 +11,7 @@ from pathlib import Path
 
 from .. import __version__
 from ..errors import InputError, MissingPackageError, OutputError, SettingsError
-from ..output import followed
+from ..output import atomic_output
 from ..progress import Progress
 from .pairs import Section, load_sections
 from .tables import Suite
@@ -224,13 +223,6 @@ def _write(
 
 
 def _write_file(path: Path, content: bytes) -> Path:
-    path = followed(path)
-    temporary = path.with_name(f".{secrets.token_hex(4)}-{path.name}.part")
-    try:
+    with atomic_output(path) as temporary:
         temporary.write_bytes(content)
-        os.replace(temporary, path)
-    except OSError as error:
-        raise OutputError(f"bench: {path} cannot be written ({error.strerror})") from error
-    finally:
-        temporary.unlink(missing_ok=True)
     return path

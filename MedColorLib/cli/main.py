@@ -16,8 +16,8 @@ from pathlib import Path
 
 from ..cohort.terminal import plain, prepare_streams, say, tell
 from ..device import is_out_of_memory
-from ..errors import Cancelled, MedColorError
-from ..output import check_output_path
+from ..errors import Cancelled, MedColorError, SettingsError
+from ..output import check_output_path, leftovers
 from ..parameters import Settings
 from .guard_options import guard_of
 from .options import make_parser
@@ -71,6 +71,8 @@ def _settings(arguments) -> Settings:
         "reference_masks",
     )
     options = {name: getattr(arguments, name) for name in names}
+    if arguments.luminance != "natural" and arguments.lightness != Settings.lightness:
+        raise SettingsError(f"--lightness belongs to --luminance natural; leave it out with {arguments.luminance}")
     options["smoother_options"] = dict(arguments.smoother_option) if arguments.smoother_option else None
     ranges = arguments.region
     options["region"] = (ranges[0:2], ranges[2:4], ranges[4:6]) if ranges else None
@@ -80,8 +82,6 @@ def _settings(arguments) -> Settings:
 
 
 def _resume_bytes(arguments) -> int:
-    from ..errors import SettingsError
-
     if not 0 <= arguments.resume_limit < float("inf"):
         raise SettingsError(f"--resume-limit: expected 0 GB or more, got {arguments.resume_limit:g}")
     return round(arguments.resume_limit * 1e9)
@@ -174,8 +174,6 @@ def _print_plan(volume, references, settings, resume, guard) -> None:
 
 def _check_outputs(arguments) -> list[Path]:
     """Refuse what cannot be written or would replace what is read; returns the files that will be replaced."""
-    from ..errors import SettingsError
-
     if not arguments.output:
         raise SettingsError("colorize: name the result with -o OUT.nrrd (or use --plan)")
     taken = {_identity(path): role for path, role in _inputs(arguments)}
@@ -191,6 +189,7 @@ def _check_outputs(arguments) -> list[Path]:
         former = taken.setdefault(_identity(path), role)
         if former != role:
             raise SettingsError(f"colorize: {path} is {former}; {role} would replace it, name another file")
+    _tell_leftovers(path for path, _ in outputs if path)
     return existing(path for path, _ in outputs if path)
 
 
@@ -224,10 +223,19 @@ def _tell_replaced(paths: Iterable[Path]) -> None:
         tell(f"{path}: the earlier file of this name was replaced")
 
 
+def _tell_leftovers(paths: Iterable[str | Path]) -> None:
+    for path in paths:
+        for left in leftovers(path):
+            tell(
+                f"{left}: left by a run that was killed, or being written now; delete it if nothing else writes {path}"
+            )
+
+
 def _render(arguments) -> None:
     from .pictures import render
 
-    former = existing([path for path in (arguments.output,) if path])
+    _tell_leftovers(path for path in (arguments.output, arguments.turntable) if path)
+    former = existing(path for path in (arguments.output, arguments.turntable) if path)
     for written in render(arguments, _Bar, _say_notes):
         say(written)
     _tell_replaced(former)
@@ -266,8 +274,6 @@ def _library_fetch(arguments) -> None:
 
 
 def _confirm(question: str) -> None:
-    from ..errors import SettingsError
-
     if not sys.stdin or not sys.stdin.isatty():
         raise SettingsError("library fetch: nobody can be asked here; add --yes to start the download")
     if input(f"{question} [y/N] ").strip().lower() not in ("y", "yes"):
@@ -292,7 +298,12 @@ def _print_library(name: str, index: dict) -> None:
 def _library_list(_arguments) -> None:
     from ..references.library import libraries_folder, list_libraries
 
-    for row in list_libraries():
+    rows = list_libraries()
+    if not rows:
+        say(
+            "no library yet: `medcolor library add FOLDER` makes one, `medcolor library fetch visible-human-male` gets one"
+        )
+    for row in rows:
         state = "" if row["complete"] else ", not complete: run the command that made it again"
         credit = f". {row['credit']}" if row["credit"] else ""
         say(f"{row['name']:<20} {row['pictures']} references, {row['bytes'] / 1e6:.1f} MB{state}{credit}")

@@ -59,7 +59,7 @@ def make_parser() -> argparse.ArgumentParser:
 def _add_colorize(commands) -> None:
     command = commands.add_parser("colorize", help="colour a volume")
     add = command.add_argument
-    text = "NRRD, MetaImage, NIfTI, DICOM folder, or folder of PNG/TIFF slices"
+    text = "NRRD, MetaImage, NIfTI, DICOM folder, or folder of PNG, TIFF, BMP or JPEG slices"
     add("input", type=file_name, metavar="INPUT", help=text)
     add("-o", "--output", type=file_name, metavar="OUT", help="result: .nrrd or .nii.gz (not needed with --plan)")
     add("--volume", dest="number", type=int, metavar="N", help=_WHICH)

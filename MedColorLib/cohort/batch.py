@@ -12,7 +12,6 @@ import hashlib
 import json
 import logging
 import os
-import re
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -25,14 +24,17 @@ from ..device import is_out_of_memory
 from ..errors import InputError, MedColorError, OutputError, SettingsError, WeightsError
 from ..io.dicom import DICOM_ENDINGS, is_dicom
 from ..io.files import check_output_path, file_sha256, input_sha256, read_volume, write_color_volume
+from ..io.folders import VOLUME_ENDINGS
+from ..io.nifti import is_pair, nifti_files
+from ..io.usable import usable
 from ..io.voxel_data import title
+from ..output import leftovers
 from ..parameters import Settings
 from ..run.resume import Resume, forget_run, forget_runs, weights_sha256
 from .workers import run_here, run_on_cluster, run_processes
 
 log = logging.getLogger("MedColorLib")
 
-VOLUME_ENDINGS = (".nrrd", ".nhdr", ".mha", ".mhd", ".nii", ".nii.gz")
 TIFF_ENDINGS = (".tif", ".tiff")
 SUMMARY = "batch.json"
 _RESULT = "-colored.nrrd"
@@ -183,7 +185,7 @@ def find_volumes(folder: str | os.PathLike, output_folder: str | os.PathLike) ->
     Raises:
         InputError: missing, no folder, inside the output folder, or without a volume.
     """
-    root, results = Path(folder).resolve(), Path(output_folder).resolve()
+    root, results = usable(folder, "batch").resolve(), usable(output_folder, "batch, output").resolve()
     if not root.is_dir():
         raise InputError(f"{folder}: is not a folder; give the folder that holds the volumes")
     if root.is_relative_to(results):
@@ -198,7 +200,8 @@ def find_volumes(folder: str | os.PathLike, output_folder: str | os.PathLike) ->
         folders[:] = [name for name in folders if name not in former]
         files = [here / name for name in sorted(names) if not name.startswith(".")]
         volumes = [file for file in files if _is_volume(file)]
-        others = sorted({*files} - {*volumes})
+        pairs = {nifti_files(file)[1] for file in volumes if is_pair(file)}
+        others = sorted({*files} - {*volumes} - pairs)
         if any(map(_is_dicom, others)):
             volumes.append(here)
         else:
@@ -269,6 +272,7 @@ def color_file(
     """
     from ..pipeline import colorize
     from ..report import write_report
+    from ..run.doubts import warning_text
 
     started = time.perf_counter()
     _check_worker(task)
@@ -288,7 +292,7 @@ def color_file(
     forget_run(colored.report, resume)
     seconds = round(time.perf_counter() - started, 2)
     resumed = colored.report["resumed_slices"]
-    notes = volume.notes
+    notes = (*volume.notes, *map(warning_text, colored.report["reference_warnings"]))
     return Outcome(task.name, task.result, "done", seconds, resumed_slices=resumed, notes=notes, replaced=replaced)
 
 
@@ -305,7 +309,7 @@ def _is_volume(file: Path) -> bool:
     """A volume by its ending; a TIFF by its number of pages."""
     name = file.name.lower()
     if not name.endswith(TIFF_ENDINGS):
-        return name.endswith(VOLUME_ENDINGS) and file.is_file()
+        return file.is_file() and (name.endswith(VOLUME_ENDINGS) or (is_pair(file)))
     from ..io.tiff import tiff_stacks
 
     try:
@@ -374,9 +378,8 @@ def _remove_leftovers(tasks: Sequence[Task], outcomes: Sequence[Outcome]) -> Non
     """Temporary files of killed workers; matches once no volume needs them."""
     for task in tasks:
         for final in (Path(task.output), Path(task.report)):
-            own = re.compile(rf"\.[0-9a-f]{{8}}-(unfinished-{re.escape(final.name)}|{re.escape(final.name)}\.part)")
-            for partial in final.parent.glob(".*"):
-                if own.fullmatch(partial.name) and partial.is_file() and not partial.is_symlink():
+            for partial in leftovers(final):
+                if partial.is_file() and not partial.is_symlink():
                     partial.unlink(missing_ok=True)
     if all(outcome.state in ("done", "skipped") for outcome in outcomes):
         forget_runs(Path(tasks[0].store))

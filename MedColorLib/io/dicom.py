@@ -12,6 +12,7 @@ patient's or study's data, and no file names (scanners put names of people into 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -72,7 +73,9 @@ def _found(files: Sequence[Path], wanted: Path | None) -> tuple[list[Stack], lis
     if wanted is not None:
         stacks = [stack for stack in stacks if any(frame.path == wanted for frame in stack.frames)]
     if not stacks:
-        raise InputError("no readable DICOM image; export the series again (reports are no images)")
+        raise InputError(
+            "no readable DICOM image (reports are none, nor are files that are cut short); export the series again"
+        )
     scalar = [stack for stack in stacks if stack.frames[0].pixels is not None]
     if not scalar:
         raise InputError("the DICOM images are in colour; a colour image can only be a reference, give a scalar series")
@@ -84,15 +87,15 @@ def _found(files: Sequence[Path], wanted: Path | None) -> tuple[list[Stack], lis
 
 def _choice(stack: Stack) -> Choice:
     try:
-        spacing = tuple(np.linalg.norm(grid_of(stack.frames).ijk_to_ras[:3, :3], axis=0).tolist())
+        grid = grid_of(stack.frames)
     except InputError:
-        spacing = ()
-    return Choice(stack.label, stack.size, spacing)
+        return Choice(stack.label, stack.size)
+    return Choice(stack.label, grid.shape[::-1], tuple(np.linalg.norm(grid.ijk_to_ras[:3, :3], axis=0).tolist()))
 
 
 def _volume(stack: Stack, max_bytes: int, notes: list[str]) -> Volume:
-    frames = stack.frames
     notes += stack.notes
+    frames = _alike_in_scale(stack.frames, notes)
     if stack.untold:
         raise InputError(
             "several images lie at each place and nothing in their headers tells them apart; export the series again, or "
@@ -113,23 +116,44 @@ def _volume(stack: Stack, max_bytes: int, notes: list[str]) -> Volume:
 
 def _pixels(frames: Sequence[Frame], grid: Grid, max_bytes: int, notes: list[str]) -> np.ndarray:
     """The voxels, in memory, or, where they are many and the disk has room, in a temporary file that is mapped."""
-    dtype = value_type(frames)
-    planes = _planes(frames, grid, dtype)
+    dtype, said = value_type(frames), set()
+    planes = _planes(frames, grid, dtype, said)
     if check_size(grid.shape, dtype, max_bytes) > IN_MEMORY and has_temporary_room(grid.shape, dtype):
         notes.append(
             f"more than {IN_MEMORY / 2**30:g} GiB: the decoded slices are in a nameless temporary file, not in memory"
         )
-        return temporarily_mapped(planes, grid.shape, dtype)
-    array = np.empty(grid.shape, dtype)
-    for number, plane in enumerate(planes):
-        array[number] = plane
+        array = temporarily_mapped(planes, grid.shape, dtype)
+    else:
+        array = np.empty(grid.shape, dtype)
+        for number, plane in enumerate(planes):
+            array[number] = plane
+    notes += sorted(said)
     return array
 
 
-def _planes(frames: Sequence[Frame], grid: Grid, dtype: np.dtype) -> Iterator[np.ndarray]:
+def _planes(frames: Sequence[Frame], grid: Grid, dtype: np.dtype, said: set[str]) -> Iterator[np.ndarray]:
     if grid.wanted_mm is None:
-        return (values(frame, dtype) for frame in frames)
-    return resampled(grid, lambda number: values(frames[number], dtype), dtype)
+        return (values(frame, dtype, said) for frame in frames)
+    return resampled(grid, lambda number: values(frames[number], dtype, said), dtype)
+
+
+def _alike_in_scale(frames: Sequence[Frame], notes: list[str]) -> list[Frame]:
+    """Frames without a scale in a volume where all others have the same one get that."""
+    if any(frame.table for frame in frames):
+        notes.append("the look-up table for the values (Modality LUT) in the header is not applied; they are as stored")
+    if any(frame.zero_slope for frame in frames):
+        notes.append("the rescale slope of the header is 0; 1 is taken for it")
+    bare = [frame for frame in frames if not frame.rescaled]
+    scales = {frame.rescale for frame in frames if frame.rescaled}
+    if not bare or not scales:
+        return list(frames)
+    said = f"{len(bare)} of {len(frames)} images have no rescale slope in their header"
+    if len(scales) > 1:
+        notes.append(f"{said}; their values are as stored")
+        return list(frames)
+    (scale,) = scales
+    notes.append(f"{said}; that of the others is taken ({scale[0]:g}, intercept {scale[1]:g})")
+    return [frame if frame.rescaled else replace(frame, rescale=scale) for frame in frames]
 
 
 def _window(frames: Sequence[Frame], notes: list[str]) -> tuple[float, float] | None:
@@ -137,9 +161,10 @@ def _window(frames: Sequence[Frame], notes: list[str]) -> tuple[float, float] | 
     turned = [frame for frame in frames if frame.pixels and frame.pixels.inverted]
     if turned:
         low, high = turned[0].pixels.limits
+        some = "" if len(turned) == len(frames) else f" of {len(turned)} of {len(frames)} images"
         rest = "" if any(frame.window is None for frame in frames) else ", and the window with them"
         notes.append(
-            f"MONOCHROME1: larger stored numbers are meant to look darker; they were turned round ({low + high} minus the "
+            f"MONOCHROME1{some}: larger stored numbers are meant to look darker; they were turned round ({low + high} minus the "
             f"number){rest}"
         )
     windows = [_turned(frame) for frame in frames if frame.window]

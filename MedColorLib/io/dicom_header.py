@@ -36,6 +36,7 @@ class Pixels:
     signed: bool
     real: str | None  # "f4" or "f8" of parametric maps
     inverted: bool  # MONOCHROME1
+    padding: tuple[int, int] | None = None  # stored numbers from .. to that are no measurement
 
     @property
     def stored(self) -> np.dtype:
@@ -74,6 +75,9 @@ class Frame:
     window: tuple[float, float] | None
     windows: int
     traits: dict[str, Any] = field(default_factory=dict)  # what may tell volumes at one place apart
+    rescaled: bool = True  # the header gives slope or intercept
+    zero_slope: bool = False  # and the slope is 0, which 1 stands for
+    table: bool = False  # a modality look-up table is in the header
     equidistant: bool = False  # the position is reckoned from that of the first frame and the header's distance
 
     @property
@@ -135,7 +139,24 @@ def _pixels(header, tag: int, offset: int) -> tuple[Pixels, bool]:
     signed = bool(int(header.get("PixelRepresentation", 0))) and real is None
     inverted = str(header.get("PhotometricInterpretation", "")).strip() == "MONOCHROME1" and real is None
     bits = (allocated, stored, high)
-    return Pixels(offset, frames, rows, columns, syntax_of(header), bits, signed, real, inverted), color
+    pixels = Pixels(offset, frames, rows, columns, syntax_of(header), bits, signed, real, inverted)
+    return pixels if real else replace(pixels, padding=_padding(header, pixels.stored)), color
+
+
+def _padding(header, stored: np.dtype) -> tuple[int, int] | None:
+    """The range of numbers that fill what was not scanned; some write them with the wrong sign."""
+    ends = [
+        _number(header.get(name), math.nan)
+        for name in ("PixelPaddingValue", "PixelPaddingRangeLimit")
+        if name in header
+    ]
+    if not ends or not all(map(math.isfinite, ends)):
+        return None
+    size = 1 << (8 * stored.itemsize)
+    low, high = sorted(
+        int(np.array(int(end) % size, f"u{stored.itemsize}").view(stored)) for end in (ends[0], ends[-1])
+    )
+    return low, high
 
 
 def _frame(words: Words, common: dict, number: int, pixels: Pixels, **changed) -> Frame:
@@ -161,6 +182,9 @@ def _frame(words: Words, common: dict, number: int, pixels: Pixels, **changed) -
         "position_mm": position if len(position) == 3 else (),
         "place": common["instance"],
         "rescale": (slope[0] if slope and slope[0] else 1.0, intercept[0] if intercept else 0.0),
+        "rescaled": bool(slope or intercept),
+        "zero_slope": slope[:1] == (0.0,),
+        "table": words.get("ModalityLUTSequence") is not None,
         "window": window,
         "windows": len(centers),
         "traits": changed["traits"] if "traits" in changed else traits_of(words),

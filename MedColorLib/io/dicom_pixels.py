@@ -12,7 +12,7 @@ import numpy as np
 from ..errors import InputError
 from .dicom_file import NATIVE, quiet_pydicom
 from .dicom_header import Frame, Pixels
-from .quiet import itk_name, quiet_itk
+from .quiet import itk_name, quiet_itk, quiet_stderr
 
 _RUN_LENGTHS = "1.2.840.10008.1.2.5"
 _LARGE, _MAX_RATIO = 1 << 26, 10_000  # no frame of so many bytes is packed so well
@@ -41,8 +41,13 @@ def _value_type(frame: Frame) -> np.dtype:
     return np.dtype("f8")
 
 
-def values(frame: Frame, dtype: np.dtype) -> np.ndarray:
+def values(frame: Frame, dtype: np.dtype, notes: set[str] | None = None) -> np.ndarray:
     """(rows, columns) of one frame, or of its tile, rescaled; MONOCHROME1 is turned so that larger is brighter.
+
+    Padding that would look brighter than the darkest pixel becomes as dark as that.
+
+    Args:
+        notes: gets what was decided about padding.
 
     Raises:
         InputError: cannot be decoded.
@@ -54,18 +59,33 @@ def values(frame: Frame, dtype: np.dtype) -> np.ndarray:
     except (InputError, OSError, MemoryError):
         raise
     except Exception as error:  # whatever damaged pixels make the decoders raise
-        raise InputError(f"DICOM slice {frame.instance:g} cannot be decoded; export the series again") from error
+        raise InputError(_not_decoded(frame, pixels.syntax)) from error
     if frame.tiles > 1:
         columns, rows = frame.size
         row, column = divmod(frame.number, frame.tiles)
         stored = stored[row * rows : (row + 1) * rows, column * columns : (column + 1) * columns]
+    padded = None if pixels.padding is None else (stored >= pixels.padding[0]) & (stored <= pixels.padding[1])
     if pixels.inverted:
         low, high = pixels.limits
         stored = (low + high - stored.astype(np.int64)).astype(pixels.stored)
+    if padded is not None and padded.any() and not padded.all():
+        least = stored[~padded].min()
+        if stored[padded].max() > least:
+            stored = np.where(padded, least, stored)
+            if notes is not None:
+                notes.add("padding is no measurement: it was made as dark as the darkest pixel of its slice")
     slope, intercept = frame.rescale
     if (slope, intercept) == (1.0, 0.0):
         return stored.astype(dtype, copy=False)
     return (stored * np.float64(slope) + intercept).astype(dtype)
+
+
+def _not_decoded(frame: Frame, syntax: str) -> str:
+    import pydicom
+
+    packed = "" if syntax in NATIVE else f" (packed as {pydicom.uid.UID(syntax).name})"
+    remedy = "export the series again" + (", uncompressed, or unpack it with gdcmconv --raw" if packed else "")
+    return f"DICOM slice {frame.instance:g}{packed} cannot be decoded; {remedy}"
 
 
 def _stored(frame: Frame, pixels: Pixels) -> np.ndarray:
@@ -79,7 +99,7 @@ def _stored(frame: Frame, pixels: Pixels) -> np.ndarray:
     elif pixels.offset < 0:
         data = _unpacked(frame.path)[number * size : (number + 1) * size]
     elif pixels.syntax == _RUN_LENGTHS:  # GDCM refuses some that are as the standard wants them
-        return _run_lengths(frame.path, number).reshape(shape).astype(pixels.stored)
+        return _used_bits(_run_lengths(frame.path, number, pixels).reshape(shape).astype(pixels.stored), pixels)
     else:
         return _by_gdcm(_packed_frames(frame.path, pixels.frames)[number], pixels)
     if len(data) < size:
@@ -105,17 +125,22 @@ def _unpacked(path: Path) -> bytes:
         return pydicom.dcmread(path, force=True).PixelData
 
 
-def _run_lengths(path: Path, number: int) -> np.ndarray:
-    """One frame, unpacked by pydicom."""
+def _run_lengths(path: Path, number: int, pixels: Pixels) -> np.ndarray:
+    """One frame, unpacked by pydicom, which would drop the bits above the number, wherever that begins."""
     import pydicom
 
+    allocated, stored, high = pixels.bits
     with quiet_pydicom():
+        source = path
+        if high != stored - 1:
+            source = pydicom.dcmread(path, force=True)
+            source.BitsStored, source.HighBit = allocated, allocated - 1
         try:
             from pydicom.pixels import pixel_array
         except ImportError:  # pydicom 2, as Python 3.9 needs it
             whole = pydicom.dcmread(path, force=True).pixel_array
             return whole[number] if whole.ndim == 3 else whole
-        return pixel_array(path, index=number, raw=True)
+        return pixel_array(source, index=number, raw=True)
 
 
 @lru_cache(maxsize=1)
@@ -138,7 +163,7 @@ def _by_gdcm(packed: bytes, pixels: Pixels) -> np.ndarray:
     size = pixels.rows * pixels.columns * pixels.stored.itemsize
     if size > _LARGE and len(packed) * _MAX_RATIO < size:
         raise ValueError("less than the frame that the header speaks of")
-    with tempfile.TemporaryDirectory() as folder, quiet_itk():
+    with tempfile.TemporaryDirectory() as folder, quiet_itk(), quiet_stderr():
         path = Path(folder, "frame.dcm")
         _write_frame(path, packed, pixels)
         reader = sitk.ImageFileReader()

@@ -19,12 +19,12 @@ import numpy as np
 from ..errors import InputError
 from .dicom_header import Frame
 from .dicom_pixels import values
+from .dicom_strays import EVEN, is_even, strays
 from .dicom_traits import CONTRASTS, HIDDEN, TIMES, TRAITS
 
 _SAME_DIRECTION = 1e-3  # distance of the direction cosines; headers round them to about 1e-6
 _SAME_SPACING = 1e-3  # relative
 _SAME_PLACE = 0.01  # of the smaller pixel edge
-_EVEN = 0.05  # of a step: a stack this even is a volume of its own
 _MIN_STACK = 4  # series of one image each that are put together where their numbers differ
 
 
@@ -63,7 +63,8 @@ def find_stacks(frames: Sequence[Frame]) -> list[Stack]:
     stacks = []
     for members, notes in sorted(_sets(unique), key=lambda s: (series[s[0][0].series], min(f.instance for f in s[0]))):
         ordered = sorted(members, key=lambda frame: (place_of(frame), frame.instance, frame.number))
-        stacks += [replace(stack, notes=(*notes, *stack.notes)) for stack in _split(Stack(tuple(ordered)))]
+        said = {"image type": "LOCALIZER"} if _is_localizer(ordered[0]) else {}
+        stacks += [replace(stack, notes=(*notes, *stack.notes)) for stack in _split(Stack(tuple(ordered), said))]
     stacks = _named_apart(stacks)
     if copies:
         said = f"{copies} images were there twice (the same instance); one of each was taken"
@@ -132,7 +133,8 @@ def _sets(frames: Sequence[Frame]) -> list[tuple[list[Frame], tuple[str, ...]]]:
     """Sets of frames of one series and grid, with notes."""
     sets: dict[tuple, list[list[Frame]]] = {}
     for frame in frames:
-        key = (frame.series, frame.size, frame.pixels is None, frame.whole, frame.tiles > 1, has_place(frame))
+        kind = (frame.pixels is None, frame.tiles > 1, has_place(frame), _is_localizer(frame))
+        key = (frame.series, frame.size, frame.whole, kind)
         for members in sets.setdefault(key, []):
             if _same_grid(members[0], frame):
                 members.append(frame)
@@ -171,7 +173,12 @@ def _joined(frames: list[Frame]) -> list[list[Frame]]:
         loose.setdefault((frame.size, frame.modality, tuple(np.round(frame.axes, 3)), frame.spacing_mm), []).append(
             frame
         )
-    return whole + [m for m in loose.values() if len(m) >= _MIN_STACK and _is_even(sorted(map(height_of, m)))]
+    return whole + [m for m in loose.values() if len(m) >= _MIN_STACK and is_even(sorted(map(height_of, m)))]
+
+
+def _is_localizer(frame: Frame) -> bool:
+    """A picture for planning, which scanners store in the series that they plan with it."""
+    return "LOCALIZER" in str(frame.traits.get("image type")).upper()
 
 
 def _same_grid(a: Frame, b: Frame) -> bool:
@@ -204,7 +211,17 @@ def _split(stack: Stack) -> list[Stack]:
             return [small for part in divided for small in _split(part)]
     if crowded:
         return _by_rank(stack, places)
-    return _by_runs(stack)
+    return [part for one in _without_strays(stack) for part in _by_runs(one)]
+
+
+def _without_strays(stack: Stack) -> list[Stack]:
+    """The volume, and single images that are none of its slices."""
+    found, said = strays([place_of(frame) for frame in stack.frames]) if has_place(stack.frames[0]) else ([], "")
+    if not found:
+        return [stack]
+    rest = tuple(frame for number, frame in enumerate(stack.frames) if number not in found)
+    alone = [replace(stack, frames=(stack.frames[number],), rank=(*stack.rank, 1)) for number in found]
+    return [replace(stack, frames=rest, rank=(*stack.rank, 0), notes=(*stack.notes, said)), *alone]
 
 
 def _by_runs(stack: Stack) -> list[Stack]:
@@ -231,7 +248,7 @@ def _by_runs(stack: Stack) -> list[Stack]:
     ):
         return [stack]
     parts = [sorted(map(place_of, run)) for run in runs]
-    if not all(map(_is_even, parts)) or not all(a[0] < b[-1] and b[0] < a[-1] for a, b in zip(parts, parts[1:])):
+    if not all(map(is_even, parts)) or not all(a[0] < b[-1] and b[0] < a[-1] for a, b in zip(parts, parts[1:])):
         return [stack]
     note = "stacks that lie in each other are told apart by their numbers alone"
     return [
@@ -279,7 +296,7 @@ def _part(stack: Stack, name: str, number: int, values: list, parts: dict[Any, l
 def _places(frames: Sequence[Frame]) -> list[list[Frame]]:
     """Frames, in order, put together where they lie at one place."""
     first = frames[0]
-    tolerance = max(_SAME_PLACE * min(first.spacing_mm or (1.0,)), _EVEN * first.thickness_mm)
+    tolerance = max(_SAME_PLACE * min(first.spacing_mm or (1.0,)), EVEN * first.thickness_mm)
     places: list[list[Frame]] = []
     for frame in frames:
         if places and place_of(frame) - place_of(places[-1][0]) <= tolerance:
@@ -313,7 +330,7 @@ def _interleaved(name: str, heights: list[list[float]], parts: dict[Any, list[Fr
     heights = [sorted(part) for part in heights]
     ranges = sorted((part[0], part[-1]) for part in heights)
     overlap = any(low < ranges[n][1] for n, (low, _) in enumerate(ranges[1:]))
-    if not overlap or not all(map(_is_even, heights)):
+    if not overlap or not all(map(is_even, heights)):
         return False
     if name not in TIMES:
         return True
@@ -324,14 +341,6 @@ def _interleaved(name: str, heights: list[list[float]], parts: dict[Any, list[Fr
     step = max(float(np.median(np.diff(part))) for part in heights)
     thickness = frames[0].traits.get("slice thickness (mm)")
     return isinstance(thickness, float) and step <= 1.1 * thickness
-
-
-def _is_even(heights: Sequence[float]) -> bool:
-    if len(heights) < 3:
-        return len(heights) == 2
-    line = np.linspace(heights[0], heights[-1], len(heights))
-    step = (heights[-1] - heights[0]) / (len(heights) - 1)
-    return step > 0 and float(np.abs(np.asarray(heights) - line).max()) <= _EVEN * step
 
 
 def _by_rank(stack: Stack, places: list[list[Frame]]) -> list[Stack]:

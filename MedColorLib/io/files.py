@@ -23,14 +23,14 @@ from ..volume import ColorVolume, Volume
 from .choice import Choice
 from .dicom import DICOM_ENDINGS, dicom_choices, is_dicom, read_dicom
 from .folders import FolderContents, files_below, files_in, look_into
-from .metaimage_nifti import (
+from .metaimage import meta_choices, meta_fields, read_meta_image
+from .nifti import (
+    NIFTI_ENDINGS,
     load_nifti,
-    meta_choices,
-    meta_fields,
     nifti_array,
     nifti_choices,
+    nifti_files,
     nifti_matrix,
-    read_meta_image,
     read_nifti,
 )
 from .nrrd import nrrd_array, nrrd_axes, nrrd_choices, nrrd_header, nrrd_matrix, read_nrrd
@@ -49,9 +49,9 @@ def read_volume(
     """Read a scalar volume in its own type and geometry.
 
     Args:
-        path: NRRD (.nrrd, .nhdr), MetaImage (.mha, .mhd), NIfTI (.nii, .nii.gz), multi-page TIFF, a DICOM folder (its
-            largest volume, of one series, contrast, acquisition and time point), one DICOM file (the volume of that file
-            in its folder), or a folder of PNG or TIFF slices.
+        path: NRRD (.nrrd, .nhdr), MetaImage (.mha, .mhd), NIfTI (.nii, .nii.gz, .hdr with .img), multi-page TIFF, a DICOM
+            folder (its largest volume, of one series, contrast, acquisition and time point), one DICOM file (the volume of
+            that file in its folder), or a folder of PNG or TIFF slices.
         max_bytes: refuse more voxels than this before taking memory for them.
         volume: where there are several, the number of one of them, as `list_volumes` counts, from 1 on.
         below: of a DICOM folder, whether to look into the folders in it.
@@ -174,8 +174,10 @@ def input_sha256(path: str | os.PathLike) -> str:
 
 
 def _detached(path: Path) -> list[Path]:
-    """The data file of a header, if it has one."""
+    """The data file of a header, if it has one, or the other file of a pair."""
     name = None
+    if _ending(path, NIFTI_ENDINGS):
+        return sorted({*nifti_files(path)} - {path})
     if _ending(path, (".nrrd", ".nhdr")):
         name = nrrd_header(path).get("data file")
     elif _ending(path, (".mha", ".mhd")):
@@ -200,6 +202,8 @@ def _input_errors(path: str | os.PathLike) -> Iterator[Path]:
     try:
         if not path.exists():
             raise InputError("does not exist; check the spelling")
+        if not (path.is_file() or path.is_dir()):
+            raise InputError("neither a file nor a folder")  # a pipe would be waited for
         with np.errstate(all="ignore"):  # numbers of damaged headers overflow; `Volume` refuses what comes of it
             yield _medium(path)
     except InputError as error:
@@ -234,7 +238,7 @@ def _refuse_picture(path: Path, max_bytes: int, number: int | None) -> Volume:
 _READERS: dict[str, Callable[[Path, int, int | None], Volume]] = {
     **dict.fromkeys((".nrrd", ".nhdr"), read_nrrd),
     **dict.fromkeys((".mha", ".mhd"), read_meta_image),
-    **dict.fromkeys((".nii", ".nii.gz"), read_nifti),
+    **dict.fromkeys(NIFTI_ENDINGS, read_nifti),
     **dict.fromkeys((".tif", ".tiff"), read_tiff),
     **dict.fromkeys(DICOM_ENDINGS, _read_single_dicom),
     **dict.fromkeys((".png", ".jpg", ".jpeg", ".bmp"), _refuse_picture),
@@ -243,8 +247,6 @@ _CHOICES = {read_nrrd: nrrd_choices, read_meta_image: meta_choices, read_nifti: 
 
 
 def _reader(path: Path) -> Callable[[Path, int, int | None], Volume]:
-    if not path.is_file():
-        raise InputError("neither a file nor a folder")
     if not path.stat().st_size:
         raise InputError("the file is empty; copy or export it again")
     ending = _ending(path, _READERS)
@@ -252,7 +254,9 @@ def _reader(path: Path) -> Callable[[Path, int, int | None], Volume]:
         return _READERS[ending]
     if is_dicom(path):
         return _read_single_dicom
-    raise InputError(f"not a known image file; the endings are {', '.join(_READERS)}, or give a folder of slices")
+    raise InputError(
+        f"not a known image file; save it as NRRD or NIfTI (known endings: {', '.join(_READERS)}), or give a folder of slices"
+    )
 
 
 def _look_into(folder: Path, below: bool = True) -> FolderContents:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +11,9 @@ from pathlib import Path
 from ..errors import InputError
 from .dicom import is_dicom
 from .pictures import PICTURE_ENDINGS
+from .plain_pictures import PLAIN_ENDINGS
+
+VOLUME_ENDINGS = (".nrrd", ".nhdr", ".mha", ".mhd", ".nii", ".nii.gz")
 
 
 @dataclass(frozen=True)
@@ -33,8 +37,19 @@ def files_below(folder: Path) -> Iterator[Path]:
         yield from (Path(parent, name) for name in names if not name.startswith(".") and Path(parent, name).is_file())
 
 
+def _volumes_beside(files: list[Path]) -> tuple[str, ...]:
+    """The note on volume files, which a folder does not stand for."""
+    endings = Counter(end for file in files for end in VOLUME_ENDINGS if file.name.lower().endswith(end))
+    if not endings:
+        return ()
+    shown = ", ".join(f"{count} {ending}" for ending, count in sorted(endings.items()))
+    return (f"volume files in the folder itself ({shown}) were not looked at; give one of them by its name",)
+
+
 def look_into(folder: Path, below: bool = True) -> FolderContents:
     """DICOM slices in the whole tree (as on a DICOM medium), or the pictures of the folder itself where those are more.
+
+    BMP and JPEG count where there is nothing else.
 
     Args:
         below: False: do not look into the folders in it.
@@ -46,13 +61,18 @@ def look_into(folder: Path, below: bool = True) -> FolderContents:
     pictures = [file for file in files if file.suffix.lower() in PICTURE_ENDINGS]
     dicom = [file for file in (files_below(folder) if below else files) if _is_dicom(file)]
     here = any(file.parent == folder for file in dicom)
+    pictures = [file for file in pictures if file not in {*dicom}]  # slices go by any name
+    beside = _volumes_beside(files)
     if dicom and (here or len(dicom) >= len(pictures)):
         notes = (f"{len(pictures)} PNG or TIFF pictures beside the DICOM files were left out",) if pictures else ()
-        return FolderContents("dicom", tuple(dicom), notes)
+        return FolderContents("dicom", tuple(dicom), (*notes, *beside))
     if pictures:
         notes = (f"{len(dicom)} DICOM files in folders below were left out; give their folder",) if dicom else ()
-        return FolderContents("pictures", tuple(pictures), notes)
-    raise InputError("the folder holds neither DICOM slices nor PNG or TIFF slices")
+        return FolderContents("pictures", tuple(pictures), (*notes, *beside))
+    plain = [file for file in files if file.suffix.lower() in PLAIN_ENDINGS]
+    if plain:
+        return FolderContents("pictures", tuple(plain), beside)
+    raise InputError("the folder holds neither DICOM slices nor PNG, TIFF, BMP or JPEG slices")
 
 
 def _is_dicom(file: Path) -> bool:

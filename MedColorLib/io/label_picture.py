@@ -33,7 +33,7 @@ def read_label_picture(path: str | os.PathLike) -> np.ndarray:
     """
     import cv2
 
-    from .pictures import quiet_cv2
+    from .quiet import quiet_cv2
 
     name = os.path.basename(path)
     if not os.path.isfile(path):
@@ -51,6 +51,17 @@ def read_label_picture(path: str | os.PathLike) -> np.ndarray:
     if picture is None:
         raise InputError(f"reference labels {name}: the PNG is damaged; save it again")
     return np.ascontiguousarray(picture if picture.ndim == 2 else picture[..., 0])
+
+
+def has_whole_chunks(data: bytes | memoryview) -> bool:
+    """Whether every chunk of a PNG ends inside the file: OpenCV takes memory for as much as a chunk says it holds."""
+    at = len(_MAGIC)
+    while at + 12 <= len(data):
+        length = int.from_bytes(data[at : at + 4], "big")
+        if data[at + 4 : at + 8] == b"IEND":
+            return length == 0
+        at += 12 + length
+    return False
 
 
 def _with_plain_values(data: bytes, name: str) -> bytes:

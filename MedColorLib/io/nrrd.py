@@ -148,8 +148,10 @@ def _steps(header: dict, axes: Sequence[int], notes: list[str]) -> np.ndarray:
         found = [_per_axis(header, "spacings", axes), (highs - lows) / (sizes - _is_node(header, axes))]
     steps = np.full(len(axes), np.nan)
     for values in (*found, _per_axis(header, "thicknesses", axes)):
-        good = np.isfinite(values) & (values != 0)
-        steps = np.where(np.isfinite(steps) | ~good, steps, values)
+        good = np.isfinite(values) & (values != 0) & ~np.isfinite(steps)
+        steps = np.where(good, values, steps)
+    if good.any():
+        notes.append("the NRRD header gives the thickness of slices, not their distance; that is taken for it")
     if not np.isfinite(steps).all():
         notes.append("no spacing in the NRRD header: 1 mm is assumed")
     return np.where(np.isfinite(steps), steps, 1.0)

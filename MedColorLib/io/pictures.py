@@ -1,6 +1,7 @@
-"""Pictures in: a folder of PNG or TIFF slices, or a TIFF of many pages, as a `Volume`.
+"""Pictures in: a folder of PNG or TIFF slices (of BMP or JPEG, if there is nothing else), or a TIFF of many pages, as a `Volume`.
 
-The names tell the order (`picture_names`), `tiff` reads TIFF, OpenCV reads PNG. Grey saved as colours is read as grey.
+The names tell the order (`picture_names`), `tiff` reads TIFF, OpenCV reads PNG, `plain_pictures` the others. Grey saved as
+colours is read as grey.
 """
 
 from __future__ import annotations
@@ -17,14 +18,18 @@ from ..errors import InputError
 from ..volume import Volume
 from .choice import Choice, chosen_note, pick
 from .grey import grey_of
+from .label_picture import has_whole_chunks
 from .picture_names import NamedSeries, named_series
+from .plain_pictures import PLAIN_ENDINGS, plain_size, read_plain
 from .quiet import quiet_cv2
-from .tiff import PRINTERS, TiffStack, tiff_planes, tiff_stacks
+from .tiff import TiffStack, tiff_planes, tiff_stacks
+from .tiff_spacing import PRINTERS
 from .voxel_data import IS_FLAT, IS_TRUNCATED, LPS_TO_RAS, MAX_DEFLATE_RATIO, check_size, title
 
 PICTURE_ENDINGS = (".png", ".tif", ".tiff")
 TIFF_ENDINGS = (".tif", ".tiff")
 _DIRECTIONS = "x to the left, y to the back, slices upwards"
+_TIFF_STARTS, _PNG_START = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"), b"\x89PNG"
 _PNG_CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}  # colour type -> samples
 _PNG_KINDS = {2: "RGB pictures", 3: "palette pictures", 4: "grey with transparency", 6: "RGB with transparency"}
 
@@ -89,6 +94,8 @@ def _ranked(series: NamedSeries, several: bool) -> list[_Stack]:
     """The volumes of one series of files: as many as its files have stacks."""
     first = series.files[0]
     label = series.label if several else ""
+    if _is_plain(first):
+        return [_Stack(series, 0, label, _plain_size(first), len(series.files), (None, None, None), "", series.notes)]
     if not _is_tiff(first):
         size, spacing = _png_header(first)[:2], _png_spacing(first)
         source = "the resolution in the pictures" if spacing[0] else ""
@@ -116,6 +123,13 @@ def _ranked(series: NamedSeries, several: bool) -> list[_Stack]:
         )
         for rank, stack in enumerate(stacks)
     ]
+
+
+def _plain_size(path: Path) -> tuple[int, int]:
+    try:
+        return plain_size(path)
+    except InputError as error:
+        raise InputError(f"slice {path.name}: {error}") from error
 
 
 def _tiff_stacks(path: Path) -> list[TiffStack]:
@@ -185,6 +199,9 @@ def _voxels(stack: _Stack, max_bytes: int) -> tuple[np.ndarray, set[str]]:
 def _planes(file: Path, stack: _Stack, max_bytes: int, notes: set[str]) -> Iterator[tuple[str, np.ndarray]]:
     several = len(stack.files.files) > 1
     try:
+        if _is_plain(file):
+            yield file.name, read_plain(file, max_bytes, notes)
+            return
         if not _is_tiff(file):
             yield file.name, _png(file, max_bytes, notes)
             return
@@ -200,7 +217,14 @@ def _planes(file: Path, stack: _Stack, max_bytes: int, notes: set[str]) -> Itera
 
 
 def _is_tiff(file: Path) -> bool:
-    return file.suffix.lower() in TIFF_ENDINGS
+    """By the first bytes; pictures are renamed without being converted."""
+    with file.open("rb") as stream:
+        start = stream.read(4)
+    return start in _TIFF_STARTS or (start != _PNG_START and file.suffix.lower() in TIFF_ENDINGS)
+
+
+def _is_plain(file: Path) -> bool:
+    return file.suffix.lower() in PLAIN_ENDINGS
 
 
 # --- PNG ------------------------------------------------------------------------------------------------------------
@@ -225,7 +249,7 @@ def _png(path: Path, max_bytes: int, notes: set[str]) -> np.ndarray:
     if rows * (columns * shape[2] * bits // 8) > path.stat().st_size * MAX_DEFLATE_RATIO:
         raise InputError(IS_TRUNCATED)
     data = path.read_bytes()
-    if not _has_whole_chunks(data):
+    if not has_whole_chunks(data):
         raise InputError(IS_TRUNCATED)
     with quiet_cv2():
         try:
@@ -235,16 +259,6 @@ def _png(path: Path, max_bytes: int, notes: set[str]) -> np.ndarray:
     if picture is None:
         raise InputError("not a readable PNG or TIFF image, or cut short; copy or export it again")
     return picture if picture.ndim == 2 else grey_of(picture, _PNG_KINDS.get(kind, "colours"), notes)
-
-
-def _has_whole_chunks(data: bytes) -> bool:
-    """Whether every chunk of a PNG ends inside the file: OpenCV takes memory for as much as a chunk says it holds."""
-    at = 8
-    while at < len(data):
-        if at + 12 > len(data) or data[at + 4 : at + 8] == b"IEND":
-            return data[at + 4 : at + 8] == b"IEND"
-        at += 12 + int.from_bytes(data[at : at + 4], "big")
-    return at == len(data)
 
 
 def _png_spacing(path: Path) -> tuple[float | None, float | None, float | None]:

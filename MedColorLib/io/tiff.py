@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import itertools
-import logging
 import math
 import struct
-import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,36 +15,12 @@ import numpy as np
 from ..errors import InputError, MissingPackageError
 from .choice import checked_count
 from .grey import grey_of
-from .quiet import quiet_cv2
+from .quiet import quiet_cv2, quiet_tifffile
+from .tiff_spacing import spacing_mm
 from .voxel_data import IS_TRUNCATED, check_size
 
 _SLICES = "ZIQT"  # axes that may be the stack, the first of them that is there
-_MM = {
-    **dict.fromkeys(("mm", "millimeter", "millimetre"), 1.0),
-    **dict.fromkeys(("um", "\u00b5m", "\u03bcm", "\\u00b5m", "micron", "microns", "micrometer", "micrometre"), 1e-3),
-    **{"nm": 1e-6, "cm": 10.0, "m": 1e3, "in": 25.4, "inch": 25.4, "\u00c5": 1e-7, "pm": 1e-9},
-}
-PRINTERS = {
-    72,
-    75,
-    90,
-    96,
-    100,
-    120,
-    144,
-    150,
-    180,
-    200,
-    240,
-    300,
-    350,
-    360,
-    400,
-    600,
-    720,
-    1200,
-    2400,
-}  # dots per inch
+_INKS = {5: "inks (CMYK)", 8: "CIE L*a*b*", 9: "ICC L*a*b*", 10: "ITU L*a*b*"}
 _MAX_RATIO = 4096  # of packed pages; no scan is packed more than that
 
 
@@ -81,24 +55,21 @@ def _opened(path: Path) -> Iterator:
         import tifffile
     except ImportError as error:
         raise MissingPackageError("TIFF needs the package tifffile: pip install tifffile") from error
-    logger = logging.getLogger("tifffile")
-    before, logger.disabled = logger.disabled, True
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            with path.open("rb") as stream, tifffile.TiffFile(stream, name=path.name, _multifile=False) as file:
-                if file.is_ome and any(page is None for series in file.series for page in series.pages):
-                    stream.seek(0)  # one file of many: its words speak of pages that lie in others
-                    with tifffile.TiffFile(stream, name=path.name, is_ome=False) as alone:
-                        yield alone
-                else:
+        with quiet_tifffile(), path.open("rb") as stream:
+            with tifffile.TiffFile(stream, name=path.name, _multifile=False) as file:
+                len(file.pages)  # counts them, and so notices pages that lead round in a circle; reading on would not
+                if not (file.is_ome and any(page is None for series in file.series for page in series.pages)):
                     yield file
+                    return
+            stream.seek(0)  # one file of many: its words speak of pages that lie in others
+            with tifffile.TiffFile(stream, name=path.name, is_ome=False) as alone:
+                len(alone.pages)
+                yield alone
     except (InputError, OSError, MemoryError, MissingPackageError):
         raise
     except Exception as error:  # whatever a damaged file makes its parts raise
         raise InputError(f"not a readable TIFF, or cut short ({error}); copy or export it again") from error
-    finally:
-        logger.disabled = before
 
 
 def tiff_stacks(path: Path) -> list[TiffStack]:
@@ -111,42 +82,76 @@ def tiff_stacks(path: Path) -> list[TiffStack]:
     with _opened(path) as file:
         if len(file.pages) != pages:
             raise InputError(IS_TRUNCATED)
+        held = sum(len(series.pages) for series in file.series)
+        if file.series and file.series[0].kind == "generic" and held < pages:
+            raise InputError(f"{pages - held} of its {pages} pages hold no picture; copy or export it again")
         found: list[TiffStack] = []
-        for index, series in enumerate(file.series):
-            found += _stacks(file, index, series)
+        pictures = [index for index, series in enumerate(file.series) if not series.keyframe.is_reduced]
+        for index in pictures or range(len(file.series)):  # without previews
+            found += _stacks(file, index, file.series[index], len(pictures))
         if not found:
             raise InputError("the TIFF holds no picture; copy or export it again")
+        found = _joined(file, found)
     return sorted(found, key=lambda stack: -len(stack.pages))
 
 
-def _stacks(file, index: int, series) -> list[TiffStack]:
+def _joined(file, stacks: list[TiffStack]) -> list[TiffStack]:
+    """Pages that each count as a series of their own, as programs write them one by one, are one stack where they are alike."""
+    if any(len(stack.pages) > 1 for stack in stacks):
+        return stacks
+    alike: dict[tuple, list[TiffStack]] = {}
+    for stack in stacks:
+        alike.setdefault((stack.size, stack.dtype), []).append(stack)
+    joined = []
+    for group in alike.values():
+        numbers = tuple(file.series[stack.series].keyframe.index for stack in group)
+        one_page = all(len(file.series[stack.series].pages) == 1 for stack in group)
+        if len(group) < 2 or not one_page or not all(isinstance(number, int) for number in numbers):
+            joined += group
+            continue
+        label = f"pages of {group[0].size[0]} x {group[0].size[1]}" if len(alike) > 1 else ""
+        note = f"{len(group)} pages that the TIFF holds one by one were put together in their order"
+        joined.append(replace(group[0], label=label, series=-1, pages=numbers, notes=(*group[0].notes, note)))
+    return joined
+
+
+def _stacks(file, index: int, series, count: int) -> list[TiffStack]:
+    """The stacks of one series; `count`: of all series."""
     axes, shape = series.axes, series.shape
     if "Y" not in axes or "X" not in axes:
         return []
-    planes = [(axis, length) for axis, length in zip(axes, shape) if axis not in "YXS"]
-    along = next((axis for kind in _SLICES for axis, n in planes if axis == kind and n > 1), None)
-    along = along or next((axis for axis, n in planes if n > 1 and axis != "C"), None)
+    planes = [place for place, axis in enumerate(axes) if axis not in "YXS"]
+    along, notes = _slices_along(axes, shape, planes)
+    spacing, source = spacing_mm(file, index, series)
+    others = [place for place in planes if place != along]
+    checked_count(math.prod(shape[place] for place in others))
+    stride = {place: math.prod(shape[q] for q in planes if q > place) for place in planes}
+    slices = 1 if along is None else shape[along]
     size = (int(shape[axes.index("X")]), int(shape[axes.index("Y")]))
-    notes = []
-    if along == "T":
-        notes.append("the only stack of the TIFF is one of time points; they are taken as slices")
-    spacing, source = _spacing(file, index, series)
     stacks = []
-    others = [(axis, n) for axis, n in planes if axis != along]
-    checked_count(math.prod(n for _, n in others))
-    strides = np.cumprod([1, *[n for _, n in planes][::-1]])[:-1][::-1]
-    offset = {axis: int(stride) for (axis, _), stride in zip(planes, strides)}
-    count = next((n for axis, n in planes if axis == along), 1)
-    for choice in itertools.product(*(range(n) for _, n in others)):
-        first = sum(offset[axis] * value for (axis, _), value in zip(others, choice))
-        words = [f"{_word(axis)} {value + 1}" for (axis, n), value in zip(others, choice) if n > 1]
-        if len(file.series) > 1:
+    for choice in itertools.product(*(range(shape[place]) for place in others)):
+        first = sum(stride[place] * value for place, value in zip(others, choice))
+        words = [f"{_word(axes[place])} {value + 1}" for place, value in zip(others, choice) if shape[place] > 1]
+        if count > 1:
             words.insert(0, f"series {index + 1}")
-        numbers = tuple(first + n * offset.get(along or "", 0) for n in range(count))
-        stacks.append(
-            TiffStack(", ".join(words), index, numbers, size, np.dtype(series.dtype), spacing, source, tuple(notes))
-        )
+        numbers = tuple(first + n * stride.get(along, 0) for n in range(slices))
+        stacks.append(TiffStack(", ".join(words), index, numbers, size, np.dtype(series.dtype), spacing, source, notes))
     return stacks
+
+
+def _slices_along(axes: str, shape: tuple[int, ...], planes: list[int]) -> tuple[int | None, tuple[str, ...]]:
+    """Which axis is the stack, and what was decided; None: there is one plane."""
+    long = [place for place in planes if shape[place] > 1]
+    for kind in _SLICES:
+        found = [place for place in long if axes[place] == kind]
+        if len(found) > 1:
+            longest = max(found, key=lambda place: (shape[place], place))
+            return longest, ("the axes of the TIFF have no names; the longest is taken as that of the slices",)
+        if found and kind == "T":
+            return found[0], ("the only stack of the TIFF is one of time points; they are taken as slices",)
+        if found:
+            return found[0], ()
+    return next((place for place in long if axes[place] != "C"), None), ()
 
 
 def _word(axis: str) -> str:
@@ -163,20 +168,48 @@ def tiff_planes(path: Path, stack: TiffStack, max_bytes: int, notes: set[str]) -
         InputError: colour, damaged, cut short, or more than `max_bytes`.
     """
     with _opened(path) as file:
-        series = file.series[stack.series]
-        pages = list(series.pages)
-        leading = math.prod(n for axis, n in zip(series.axes, series.shape) if axis not in "YXS")
-        if len(pages) == leading and all(page is not None for page in pages):
-            for number in stack.pages:
-                yield _plane(path, pages[number].aspage(), max_bytes, notes)
-            return
-        page = pages[0].aspage()
-        check_size(series.shape, series.dtype, max_bytes)
-        if series.dataoffset is None or series.dataoffset + series.nbytes > path.stat().st_size or "S" in series.axes:
-            raise InputError("the TIFF names more planes than it holds; save it again, one page a slice")
-        whole = series.asarray(maxworkers=1).reshape(leading, *series.shape[-2:])
+        scale = _calibration(file)
+        for plane in _stored_planes(file, path, stack, max_bytes, notes):
+            yield plane if scale is None else _calibrated(plane, *scale, notes)
+
+
+def _stored_planes(file, path: Path, stack: TiffStack, max_bytes: int, notes: set[str]) -> Iterator[np.ndarray]:
+    if stack.series < 0:
         for number in stack.pages:
-            yield _grey(page, whole[number], "YX", notes)
+            yield _plane(path, file.pages[number].aspage(), max_bytes, notes)
+        return
+    series = file.series[stack.series]
+    pages = list(series.pages)
+    leading = math.prod(n for axis, n in zip(series.axes, series.shape) if axis not in "YXS")
+    if len(pages) == leading and all(page is not None for page in pages):
+        for number in stack.pages:
+            yield _plane(path, pages[number].aspage(), max_bytes, notes)
+        return
+    page = pages[0].aspage()
+    check_size(series.shape, series.dtype, max_bytes)
+    if series.dataoffset is None or series.dataoffset + series.nbytes > path.stat().st_size or "S" in series.axes:
+        raise InputError("the TIFF names more planes than it holds; save it again, one page a slice")
+    whole = series.asarray(maxworkers=1).reshape(leading, *series.shape[-2:])
+    for number in stack.pages:
+        yield _grey(page, whole[number], "YX", notes)
+
+
+def _calibration(file) -> tuple[float, float] | None:
+    """(intercept, slope) where ImageJ's words say that the values are a straight line of the stored numbers."""
+    words = (file.imagej_metadata or {}) if file.is_imagej else {}
+    values = [words.get(name) for name in ("cf", "c0", "c1")]
+    if values[0] != 0 or not all(isinstance(value, (int, float)) and math.isfinite(value) for value in values):
+        return None
+    return None if values[1:] == [0, 1] or values[2] == 0 else (float(values[1]), float(values[2]))
+
+
+def _calibrated(plane: np.ndarray, intercept: float, slope: float, notes: set[str]) -> np.ndarray:
+    notes.add(f"the values are calibrated as ImageJ's words say: {intercept:g} + {slope:g} times the stored number")
+    if slope != 1 or not intercept.is_integer() or plane.dtype.kind != "u" or plane.dtype.itemsize > 2:
+        return (intercept + slope * plane.astype(np.float64)).astype(np.float32)
+    ends = np.array([0, np.iinfo(plane.dtype).max]) + int(intercept)
+    fits = np.iinfo(np.int16).min <= ends[0] and ends[1] <= np.iinfo(np.int16).max
+    return (plane.astype(np.int64) + int(intercept)).astype(np.int16 if fits else np.int32)
 
 
 def _plane(path: Path, page, max_bytes: int, notes: set[str]) -> np.ndarray:
@@ -222,7 +255,9 @@ def _by_opencv(path: Path, page, notes: set[str]) -> np.ndarray:
     import cv2
 
     with quiet_cv2():
-        try:
+        try:  # OpenCV reads planes of single colours wrongly
+            if page.planarconfig == 2 and page.samplesperpixel > 1:
+                raise cv2.error
             _, found = cv2.imdecodemulti(np.fromfile(path, np.uint8), cv2.IMREAD_UNCHANGED)
         except cv2.error:
             found = ()
@@ -238,6 +273,8 @@ def _by_opencv(path: Path, page, notes: set[str]) -> np.ndarray:
 
 
 def _grey(page, picture: np.ndarray, axes: str, notes: set[str], mapped: bool = False) -> np.ndarray:
+    if page.photometric in _INKS:
+        raise InputError(f"its colours are {_INKS[page.photometric]}; save the slices as grey")
     if page.tags.get(274) is not None and page.tags[274].value not in (0, 1):
         notes.add("the orientation tag of the TIFF is not applied to slices")
     if page.photometric == 3 and not mapped and page.colormap is not None:
@@ -261,68 +298,6 @@ def _grey(page, picture: np.ndarray, axes: str, notes: set[str], mapped: bool = 
 
 def _largest(dtype: np.dtype, page) -> int:
     return int(np.iinfo(dtype).max) if page.bitspersample in (1, 8, 16, 32, 64) else (1 << page.bitspersample) - 1
-
-
-# --- voxel size -----------------------------------------------------------------------------------------------------
-
-
-def _spacing(file, index: int, series) -> tuple[tuple[float | None, float | None, float | None], str]:
-    """((i, j, k) in millimetres or None, where they are from)."""
-    if file.is_ome and any(found := _ome_spacing(file.ome_metadata, index)):
-        return found, "OME"
-    plane = next((page for page in series.pages if page is not None), None)
-    tags = {} if plane is None else plane.aspage().tags
-    across = [_ratio(tags, 282), _ratio(tags, 283)]  # pixels per unit along x, y
-    if file.is_imagej:
-        return _imagej_spacing(file.imagej_metadata or {}, across)
-    unit = tags.get(296)
-    unit_mm = {2: 25.4, 3: 10.0}.get(2 if unit is None else int(unit.value))
-    printed = unit_mm == 25.4 and all(ratio and round(ratio, 2) in PRINTERS for ratio in across)
-    if unit_mm is None or not all(across) or printed:
-        return (None, None, None), ""
-    return (unit_mm / across[0], unit_mm / across[1], None), "the resolution tags"
-
-
-def _imagej_spacing(
-    words: dict, across: list[float | None]
-) -> tuple[tuple[float | None, float | None, float | None], str]:
-    scale = _MM.get(str(words.get("unit", "")).strip().lower())
-    if scale is None:
-        return (None, None, None), ""
-    step = words.get("spacing")
-    step = abs(float(step)) * scale if isinstance(step, (int, float)) and step else None
-    i, j = (scale / ratio if ratio else None for ratio in across)
-    return (i, j, step), "ImageJ"
-
-
-def _ratio(tags, code: int) -> float | None:
-    tag = tags.get(code)
-    try:
-        above, below = tag.value
-        return above / below if above > 0 and below > 0 else None
-    except (AttributeError, TypeError, ValueError):
-        return None
-
-
-def _ome_spacing(text: str, index: int) -> tuple[float | None, float | None, float | None]:
-    from xml.etree import ElementTree
-
-    try:
-        pixels = [e for e in ElementTree.fromstring(text).iter() if e.tag.endswith("}Pixels") or e.tag == "Pixels"]
-    except ElementTree.ParseError:
-        return None, None, None
-    if index >= len(pixels):
-        return None, None, None
-
-    def size(axis: str) -> float | None:
-        scale = _MM.get(pixels[index].get(f"PhysicalSize{axis}Unit", "\u00b5m").lower())
-        try:
-            value = float(pixels[index].get(f"PhysicalSize{axis}", "nan"))
-        except ValueError:
-            return None
-        return value * scale if scale and math.isfinite(value) and value > 0 else None
-
-    return size("X"), size("Y"), size("Z")
 
 
 def _page_count(path: Path) -> int:

@@ -7,7 +7,6 @@ the file. Sizes are checked against the limit and the file before memory is take
 from __future__ import annotations
 
 import bz2
-import gzip
 import io
 import math
 import os
@@ -25,6 +24,7 @@ from ..errors import InputError
 LPS_TO_RAS = np.diag([-1.0, -1.0, 1.0, 1.0])
 MAX_DEFLATE_RATIO = 1032  # no gzip or zlib stream unpacks to more than this many times its size
 MAX_HEADER = 1 << 20
+GZIP = b"\x1f\x8b"  # how such a stream begins
 
 IS_COLOR = "a colour or vector image, which can only be a reference; the volume to colour has to be scalar"
 IS_FLAT = "a two-dimensional image; put all slices as PNG or TIFF files in one folder and give the folder"
@@ -73,7 +73,7 @@ def natural_key(path: Path) -> list[tuple[int, str]]:
 
 def title(path: Path) -> str:
     """The name without folder and ending; `.nii.gz` is one ending."""
-    return re.sub(r"(\.nii\.gz|\.[^.]*)$", "", path.name, flags=re.IGNORECASE) or path.name
+    return re.sub(r"(\.(nii|hdr|img)\.gz|\.[^.]*)$", "", path.name, flags=re.IGNORECASE) or path.name
 
 
 def data_file(header: Path, name: str) -> Path:
@@ -108,7 +108,7 @@ def read_voxels(
     Args:
         source: the file that holds them, from byte `start` on.
         dtype: type and byte order in the file.
-        encoding: raw, gzip, zlib, bzip2 or text.
+        encoding: raw, gzip, zlib, bzip2, hex or text.
         lines: lines to skip first.
         skip: bytes to skip then, after unpacking; -1 for raw: the voxels end the file.
 
@@ -122,13 +122,13 @@ def read_voxels(
                 raise InputError(IS_TRUNCATED)
         try:
             if encoding == "text":
-                return _parsed(file.read().split(), shape, dtype.newbyteorder("="))
+                return _parsed(file.read().replace(b",", b" ").split(), shape, dtype.newbyteorder("="))
             stream = _stream(file, encoding, skip, math.prod(shape) * dtype.itemsize)
             if encoding == "raw":
                 return np.asarray(np.memmap(file, dtype, "r", file.tell(), tuple(shape)))
             array = _filled(stream, shape, dtype)
             return array if dtype.isnative else array.byteswap(inplace=True).view(dtype.newbyteorder("="))
-        except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+        except (EOFError, zlib.error) as error:
             raise InputError(f"the voxels are cut short or damaged ({error}); copy or export the file again") from error
 
 
@@ -165,33 +165,69 @@ def _stream(file: io.BufferedReader, encoding: str, skip: int, size: int) -> io.
         return file
     if encoding in ("gzip", "zlib") and available * MAX_DEFLATE_RATIO < size:
         raise InputError(IS_TRUNCATED)
-    if encoding == "zlib":
-        return _ZlibStream(file)
-    if encoding not in ("gzip", "bzip2"):
+    if encoding not in ("gzip", "zlib", "bzip2", "hex"):
         raise InputError(f"the encoding {encoding!r} is not known; save the volume as raw or gzip")
-    stream = gzip.GzipFile(fileobj=file, mode="rb") if encoding == "gzip" else bz2.BZ2File(file)
-    stream.seek(skip)
+    stream: io.IOBase = {"bzip2": bz2.BZ2File, "hex": _Unhexed}.get(encoding, _Inflated)(file)
+    while skip > 0 and (passed := len(stream.read(min(skip, _CHUNK)))):
+        skip -= passed
     return stream
 
 
-class _ZlibStream(io.RawIOBase):
-    """Unpacks a zlib (or gzip) stream, as `gzip.GzipFile` unpacks a gzip stream."""
+class _Unhexed(io.RawIOBase):
+    """Bytes written as pairs of hexadecimal digits, with blanks anywhere."""
 
     def __init__(self, file: io.BufferedReader) -> None:
-        self._file, self._unpacker = file, zlib.decompressobj(wbits=47)
+        self._file, self._rest = file, b""
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, view: memoryview) -> int:
+        digits = self._rest
+        while len(digits) < 2 and (read := self._file.read(2 * len(view))):
+            digits += b"".join(read.split())
+        count = min(len(digits) // 2, len(view))
+        self._rest = digits[2 * count :]
+        try:
+            view[:count] = bytes.fromhex(digits[: 2 * count].decode("ascii"))
+        except ValueError as error:
+            raise InputError(
+                f"the voxels are no hexadecimal digits ({error}); copy or export the file again"
+            ) from error
+        return count
+
+
+class _Inflated(io.RawIOBase):
+    """Unpacks zlib and gzip streams, one behind the other as `gzip` does; what follows the last of them does not count."""
+
+    def __init__(self, file: io.BufferedReader) -> None:
+        self._file, self._unpacker, self._packed = file, zlib.decompressobj(wbits=47), b""
 
     def readable(self) -> bool:
         return True
 
     def readinto(self, view: memoryview) -> int:
         data = b""
-        while not data and not self._unpacker.eof:
-            packed = self._unpacker.unconsumed_tail or self._file.read(1 << 16)
+        while not data:
+            if self._unpacker.eof and not self._begins_again():
+                return 0
+            packed = self._unpacker.unconsumed_tail or self._packed or self._file.read(1 << 16)
+            self._packed = b""
             data = self._unpacker.decompress(packed, len(view))
             if not packed and not data:
                 raise EOFError("no end of the stream")
         view[: len(data)] = data
         return len(data)
+
+    def _begins_again(self) -> bool:
+        """Whether another gzip stream follows."""
+        rest = self._unpacker.unused_data.lstrip(b"\0")
+        while len(rest) < len(GZIP) and (more := self._file.read(1 << 16)):
+            rest = (rest + more).lstrip(b"\0")
+        if not rest.startswith(GZIP):
+            return False
+        self._unpacker, self._packed = zlib.decompressobj(wbits=47), rest
+        return True
 
 
 def _filled(stream: io.IOBase, shape: Sequence[int], dtype: np.dtype) -> np.ndarray:

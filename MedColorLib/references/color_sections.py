@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError
-from ..io.quiet import itk_name
+from ..io.colors import read_colors
 from ..io.voxel_data import title
 from ..scan.slices import slice_order
 from .photograph import Frame, Reference
@@ -16,17 +16,23 @@ COLOR_SUFFIXES = (".nrrd", ".nhdr", ".nii", ".nii.gz", ".mha", ".mhd")
 MOST_SECTIONS = 64  # each of them costs features and a contrast curve
 MAX_BYTES = 8 << 30
 _LEAST_TISSUE = 0.01  # of the largest section's: less than that is not worth a reference
-_LPS_TO_RAS = np.diag([-1.0, -1.0, 1.0, 1.0])
 
 
 def read_sections(path: str | Path) -> list[Reference]:
     """References of a colour volume in a file: NRRD, NIfTI or MetaImage, RGB or RGBA of 8 bits.
 
     Raises:
-        InputError: missing, unreadable, not such a volume, too large, black, or under a path that is not UTF-8.
+        InputError: missing, unreadable, not such a volume, too large or black.
     """
     path = Path(path)
-    values, ijk_to_ras = _read_vector_volume(path)
+    if not path.is_file():
+        raise InputError(f"reference: no file {path}")
+    try:
+        values, ijk_to_ras = read_colors(path, MAX_BYTES)
+    except InputError as error:
+        raise InputError(f"reference {path.name}: {' '.join(str(error).split())}") from error
+    except OSError as error:
+        raise InputError(f"reference {path.name}: cannot be read ({error.strerror or error})") from error
     inside = values[..., 3] > 0 if values.shape[-1] == 4 else None
     return sections(values[..., :3], ijk_to_ras, title(path), inside)
 
@@ -63,40 +69,3 @@ def sections(rgb: np.ndarray, ijk_to_ras: np.ndarray, name: str, inside: np.ndar
 
 def _ordinal(step: int) -> str:
     return "" if step == 1 else {2: "second ", 3: "third "}.get(step, f"{step}th ")
-
-
-def _read_vector_volume(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """(k, j, i, 3 or 4) uint8 and IJK-to-RAS of a file."""
-    import SimpleITK as sitk
-
-    if not path.is_file():
-        raise InputError(f"reference: no file {path}")
-    with itk_name(path) as name:
-        image = _read_by_itk(name, path)
-    direction = np.array(image.GetDirection()).reshape(3, 3) * np.array(image.GetSpacing())
-    lps = np.eye(4)
-    lps[:3, :3], lps[:3, 3] = direction, image.GetOrigin()
-    return sitk.GetArrayFromImage(image), _LPS_TO_RAS @ lps
-
-
-def _read_by_itk(name: str, path: Path):
-    """The image, checked before its voxels are read; `path` is for messages."""
-    import SimpleITK as sitk
-
-    reader = sitk.ImageFileReader()
-    reader.SetFileName(name)
-    try:
-        reader.ReadImageInformation()
-        count, size = reader.GetNumberOfComponents(), reader.GetSize()
-        kind = sitk.GetPixelIDValueAsString(reader.GetPixelID())
-        if len(size) != 3 or count not in (3, 4) or "8-bit unsigned" not in kind:
-            raise InputError(
-                f"reference {path.name}: not a colour volume; expected three-dimensional RGB or RGBA of 8 bits, got "
-                f"{kind} of {' x '.join(map(str, size))} with {count} component{'s' * (count > 1)}"
-            )
-        if np.prod([float(n) for n in size]) * count > MAX_BYTES:
-            raise InputError(f"reference {path.name}: more than {MAX_BYTES >> 30} GiB; crop or resample the volume")
-        return reader.Execute()
-    except RuntimeError as error:
-        reason = " ".join(str(error).split())[-160:]
-        raise InputError(f"reference {path.name}: cannot be read as a volume (... {reason})") from error

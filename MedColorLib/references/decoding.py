@@ -8,7 +8,6 @@ from __future__ import annotations
 import logging
 import os
 import struct
-import sys
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -18,7 +17,8 @@ import numpy as np
 
 from ..device import is_out_of_memory
 from ..errors import InputError
-from ..io.quiet import quiet_cv2
+from ..io.label_picture import has_whole_chunks
+from ..io.quiet import quiet_cv2, quiet_stderr, quiet_tifffile
 from .to_srgb import TAG_GROUPS
 
 if TYPE_CHECKING:
@@ -36,7 +36,12 @@ _FORMATS = (
 MAX_PIXELS = 178_956_970  # of more, Pillow, too, takes a picture for a decompression bomb
 
 _UNREADABLE = "not a picture that can be read; use PNG, JPEG or TIFF"
+_CUT = "the picture is damaged or cut short; copy or export it again"
 IS_GREY = "a grey picture; the reference must be a colour photograph (RGB)"
+_RGB, _YCBCR = 2, 6
+_EXTRA = 338
+_BITS, _SAMPLES, _PLANAR, _SEPARATE = 258, 277, 284, 2
+_MAX_RATIO = 4096  # of packed strips; no photograph is packed more than that
 _MAX_FILE_BYTES = 2 << 30  # for OpenCV; MAX_PIXELS of four channels with 16 bits and no compression are less
 _TIFF_MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 # PNG, JPEG, GIF, BMP, RIFF: what Pillow does not take for one is damaged; OpenCV would take gigabytes for some of them.
@@ -50,6 +55,7 @@ _FLOATING = {
     b"\x76\x2f\x31\x01": "OpenEXR",
 }
 ORIENTATION = 0x0112
+TURNS = range(2, 9)  # EXIF's numbers of what does not lie upright
 _SHORT = 3  # TIFF's number of 16-bit values
 
 
@@ -67,6 +73,17 @@ def opened(stream: BinaryIO, name: str) -> Image.Image | None:
         return None
     except Image.DecompressionBombError as error:
         raise InputError(_too_large(_one_line(error))) from error
+
+
+def upright(values: np.ndarray, orientation: int | None) -> np.ndarray:
+    """Undo an EXIF orientation of (h, w[, c])."""
+    if orientation not in TURNS:
+        return values
+    if orientation >= 5:
+        values = values.swapaxes(0, 1)
+    rows = -1 if orientation in (3, 4, 7, 8) else 1
+    columns = -1 if orientation in (2, 3, 6, 7) else 1
+    return np.ascontiguousarray(values[::rows, ::columns])
 
 
 def check_size(width: int, height: int) -> None:
@@ -90,6 +107,8 @@ def checked_unknown(stream: BinaryIO) -> dict:
     """Refuse, by its header, what OpenCV cannot read or not within bounds; else the tags, if it is a TIFF."""
     stream.seek(0)
     start = stream.read(16)
+    if not start:
+        raise InputError("the file is empty; copy or export it again")
     for magic, kind in _FLOATING.items():
         if start.startswith(magic):
             raise InputError(f"{kind} holds floating point; save it with 8 or 16 bits per channel, as PNG or TIFF")
@@ -109,16 +128,69 @@ def checked_unknown(stream: BinaryIO) -> dict:
 
 def _tiff_tags(stream: BinaryIO) -> dict:
     """Number -> value of the first directory."""
-    from PIL.TiffImagePlugin import ImageFileDirectory_v2
+    import tifffile
 
+    stream.seek(0)
+    with decoding(), quiet_tifffile(), tifffile.TiffFile(stream, is_ome=False, _multifile=False) as file:
+        return {tag.code: tag.value for tag in file.pages[0].tags}
+
+
+def _from_planes(stream: BinaryIO) -> np.ndarray:
+    """A TIFF with a plane for each colour, which OpenCV reads wrongly."""
+    import tifffile
+
+    stream.seek(0)
+    with decoding(), quiet_tifffile():
+        try:
+            with tifffile.TiffFile(stream, is_ome=False, _multifile=False) as file:
+                planes = file.pages[0].asarray(maxworkers=1)
+        except (ValueError, KeyError) as error:
+            if "imagecodecs" in str(error):
+                raise InputError(
+                    "a TIFF with a packed plane for each colour; save it as an ordinary TIFF or PNG"
+                ) from error
+            raise
+    values = np.moveaxis(planes, 0, -1)[..., [2, 1, 0, 3][: min(len(planes), 4)]] if len(planes) > 2 else planes[0]
+    check_size(*values.shape[1::-1])
+    return np.ascontiguousarray(values)
+
+
+def check_strips(tags: dict, size: int) -> None:
+    """Refuse a TIFF of which a part is not there: Pillow leaves it black, OpenCV as its memory was.
+
+    Args:
+        tags: number -> value of its directory.
+        size: of the file in bytes.
+
+    Raises:
+        InputError: strips or tiles are fewer than its size needs, or lie outside the file.
+    """
     with decoding():
-        stream.seek(0)
-        start = stream.read(8)
-        start += stream.read(8) if b"+" in start[2:4] else b""  # BigTIFF
-        tags = ImageFileDirectory_v2(start)
-        stream.seek(tags.next)
-        tags.load(stream)
-        return dict(tags)
+        whole = _has_whole_strips(tags, size)
+    if not whole:
+        raise InputError(_CUT)
+
+
+def _has_whole_strips(tags: dict, size: int) -> bool:
+    width, height, rows = tags.get(256, 0), tags.get(257, 0), tags.get(278, tags.get(257, 0))
+    bits = tags.get(258, (1,))
+    bits = sum(bits) if isinstance(bits, tuple) else bits * tags.get(277, 1)
+    planes = tags.get(277, 1) if tags.get(284, 1) == 2 else 1
+    tiled = 324 in tags
+    places, lengths = (_listed(tags.get(code, ())) for code in ((324, 325) if tiled else (273, 279)))
+    needed = width * height * bits // (24 if tags.get(262) == _YCBCR else 8)  # its colours may be fewer than its pixels
+    if places and not lengths:  # as some old files are
+        lengths = (needed // len(places),) * len(places)
+    if not places or len(places) != len(lengths) or min(rows, tags.get(322, 1), tags.get(323, 1)) < 1:
+        return False
+    count = -(-width // tags[322]) * -(-height // tags[323]) if tiled else -(-height // rows)
+    packed = 1 if tags.get(259, 1) == 1 else _MAX_RATIO
+    inside = all(place + length <= size for place, length in zip(places, lengths))
+    return inside and len(places) >= count * planes and sum(lengths) * packed >= needed
+
+
+def _listed(values) -> tuple:
+    return values if isinstance(values, tuple) else (values,)
 
 
 def exif_of(image: Image.Image) -> dict:
@@ -136,10 +208,12 @@ def exif_of(image: Image.Image) -> dict:
 
 
 def has_16_bits(image: Image.Image) -> bool:
-    """Whether its channels are stored with 16 bits, of which Pillow gives 8."""
+    """Whether its channels are stored with 16 bits, of which Pillow gives 8 (and of planes of single colours none)."""
+    if image.format == "TIFF" and image.mode in ("RGB", "RGBA", "RGBX"):
+        return 16 in _listed(image.tag_v2.get(_BITS, 8))
     arguments = image.tile[0][3] if image.tile else ""
     raw = arguments if isinstance(arguments, str) else next((a for a in arguments or () if isinstance(a, str)), "")
-    return image.mode in ("RGB", "RGBA") and image.format in ("PNG", "TIFF") and ";16" in raw
+    return image.mode in ("RGB", "RGBA") and image.format == "PNG" and ";16" in raw
 
 
 def pages(image: Image.Image) -> tuple[str, ...]:
@@ -151,6 +225,16 @@ def pages(image: Image.Image) -> tuple[str, ...]:
 
 def by_opencv(stream: BinaryIO) -> np.ndarray:
     """(h, w, 3 or 4) uint8 or uint16 in the order B, G, R[, A], as it is stored."""
+    values = stored_values(stream)
+    if values.ndim == 2 or values.shape[2] < 3:
+        raise InputError(IS_GREY)
+    if values.dtype not in (np.uint8, np.uint16):
+        raise InputError(f"{values.dtype} channels; save it with 8 or 16 bits per channel")
+    return values
+
+
+def stored_values(stream: BinaryIO) -> np.ndarray:
+    """(h, w) or (h, w, channels) of any type, as OpenCV gives what is stored, not turned; its size was checked before."""
     import cv2
 
     size = stream.seek(0, os.SEEK_END)
@@ -159,17 +243,30 @@ def by_opencv(stream: BinaryIO) -> np.ndarray:
         raise InputError(_UNREADABLE)
     data = np.empty(size, np.uint8)
     data = data[: stream.readinto(data.data)]
+    start = data[:4].tobytes()
+    if start == b"\x89PNG" and not has_whole_chunks(memoryview(data)):
+        raise InputError(_CUT)
+    if start in _TIFF_MAGIC:
+        tags = _tiff_tags(stream)
+        check_strips(tags, size)
+        if tags.get(_PLANAR) == _SEPARATE and tags.get(_SAMPLES, 1) > 1:
+            return _without_extra(_from_planes(stream), tags)
+    else:
+        tags = {}
     flags = cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION
     with decoding(), quiet_cv2(), quiet_stderr():
         values = cv2.imdecode(_as_stored(data), flags)
     if values is None:
         raise InputError(_UNREADABLE)
-    if values.ndim == 2 or values.shape[2] < 3:
-        raise InputError(IS_GREY)
-    if values.dtype not in (np.uint8, np.uint16):
-        raise InputError(f"{values.dtype} channels; save it with 8 or 16 bits per channel")
     check_size(*values.shape[1::-1])
-    return values
+    return _without_extra(values, tags)
+
+
+def _without_extra(values: np.ndarray, tags: dict) -> np.ndarray:
+    """Without a fourth channel that the header of a TIFF does not call transparency."""
+    extra = _listed(tags.get(_EXTRA, ()))
+    unknown = bool(extra) and extra[0] == 0 and tags.get(262) == _RGB
+    return np.ascontiguousarray(values[..., :3]) if unknown and values.ndim == 3 and values.shape[2] == 4 else values
 
 
 def _as_stored(data: np.ndarray) -> np.ndarray:
@@ -214,24 +311,6 @@ def quiet_pillow() -> Iterator[None]:
             yield
     finally:
         logger.setLevel(level)
-
-
-@contextmanager
-def quiet_stderr() -> Iterator[None]:
-    """Nothing comes out of the error stream, not from C libraries either: libtiff prints what it then reports as well."""
-    sys.stderr.flush()
-    try:
-        kept = os.dup(2)
-    except OSError:  # a program without one, as on Windows
-        yield
-        return
-    try:
-        with open(os.devnull, "wb") as nowhere:
-            os.dup2(nowhere.fileno(), 2)
-        yield
-    finally:
-        os.dup2(kept, 2)
-        os.close(kept)
 
 
 def _one_line(error: Exception) -> str:

@@ -5,11 +5,25 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 
+from ..device import is_out_of_memory
 from ..errors import InputError
-from ..io.pictures import quiet_cv2
+from ..io.label_picture import read_label_picture
+from ..io.usable import usable
+from .decoding import (
+    ORIENTATION,
+    checked_unknown,
+    decoding,
+    exif_of,
+    opened,
+    quiet_pillow,
+    stored_values,
+    upright,
+)
+from .pictures import pictures_in
 
 FIND = "auto"  # in place of a mask: find the tissue
 _LABELS_BELOW = 32  # grey pictures whose values are all smaller hold labels, not brightness
@@ -41,51 +55,67 @@ def mask_beside(mask: Path, picture: Path) -> Path | None:
         raise InputError(
             f"reference mask {mask.name}: the reference is a folder; give a folder of masks of the same names"
         )
-    found = sorted(file for file in mask.iterdir() if file.stem == picture.stem and file.is_file())
+    found = sorted(file for file in pictures_in(mask) if file.stem == picture.stem)
     return found[0] if found else None
 
 
 def read_mask(path: Path, shape: tuple[int, int]) -> np.ndarray:
-    """(h, w) bool, True on tissue.
+    """(h, w) bool, True on tissue, turned as the header says, as the photograph is.
 
     A picture with transparency counts where it is not transparent; a palette where the index is not 0; labels (grey values
     all below 32) where they are not 0; other grey and colour where it is brighter than half.
 
     Args:
-        shape: (h, w) of the photograph.
+        shape: (h, w) of the photograph. A picture of another size is not decoded.
 
     Raises:
         InputError: missing, unreadable, of another size, or nothing in it.
     """
-    import cv2
-
+    if usable(path, "reference mask").is_dir():
+        raise InputError(f"reference mask {path.name}: a folder, and the reference is one picture; give a picture")
     if not path.is_file():
         raise InputError(f"reference mask: no file {path}")
     try:
-        data = path.read_bytes()
+        with path.open("rb") as stream, quiet_pillow():
+            mask = _decoded(stream, path, tuple(shape))
+    except InputError as error:
+        raise InputError(f"reference mask {path.name}: {error}") from error
     except OSError as error:
+        if is_out_of_memory(error):
+            raise
         raise InputError(
             f"reference mask {path.name}: cannot be read ({error.strerror}); check the permissions"
         ) from error
-    with quiet_cv2():
-        picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
-    if picture is None:
-        raise InputError(f"reference mask {path.name}: not a picture that can be read; save it as PNG")
-    mask = _palette_mask(path) if data[:4] == b"\x89PNG" and data[25:26] == bytes([_PALETTE]) else _mask_of(picture)
-    if mask.shape != tuple(shape):
-        raise InputError(
-            f"reference mask {path.name}: {mask.shape[1]} x {mask.shape[0]} pixels, the photograph has {shape[1]} x "
-            f"{shape[0]}; draw the mask on the photograph itself"
-        )
     if not mask.any():
         raise InputError(f"reference mask {path.name}: marks no pixel as tissue; paint tissue white, the rest black")
     return mask
 
 
-def _palette_mask(path: Path) -> np.ndarray:
-    from ..io.label_picture import read_label_picture
+def _decoded(stream: BinaryIO, path: Path, shape: tuple[int, int]) -> np.ndarray:
+    """The mask of an open file; its size is known from the header before it is decoded."""
+    with decoding():
+        image = opened(stream, path.name)
+    if image is None:
+        tags = checked_unknown(stream)
+        size = (tags[256], tags[257]) if tags else shape[::-1]  # where no header tells, OpenCV's own limit holds
+    else:
+        tags, size = exif_of(image), image.size
+    turned = tags.get(ORIENTATION)
+    if sorted(size) != sorted(shape):  # what lies on its side is turned below
+        raise InputError(_of_another_size(size, shape))
+    head = stream.seek(0) or stream.read(26)
+    if head[:4] == b"\x89PNG" and head[25:] == bytes([_PALETTE]):
+        mask = read_label_picture(path) > 0
+    else:
+        mask = _mask_of(stored_values(stream))
+    mask = upright(mask, turned)
+    if mask.shape != shape:
+        raise InputError(_of_another_size(mask.shape[::-1], shape))
+    return mask
 
-    return read_label_picture(path) > 0
+
+def _of_another_size(size: tuple[int, int], shape: tuple[int, int]) -> str:
+    return f"{size[0]} x {size[1]} pixels, the photograph has {shape[1]} x {shape[0]}; draw the mask on the photograph itself"
 
 
 def _mask_of(picture: np.ndarray) -> np.ndarray:

@@ -23,6 +23,7 @@ import numpy as np
 
 from ..errors import Cancelled, InputError, OutputError, SettingsError
 from ..features.download import sha256_of
+from ..io.usable import usable
 from ..io.voxel_data import natural_key
 from .given_mask import read_mask
 from .photograph import Frame, Reference, prepare_reference
@@ -156,7 +157,7 @@ def add_library(
         SettingsError: no such name. OutputError: the cache folder cannot be written.
         Cancelled: what was prepared is kept, and the next call goes on from there.
     """
-    folder = Path(folder)
+    folder = usable(folder, "library add")
     if not folder.is_dir():
         raise InputError(f"library add: no folder {folder}")
     name = checked_name(name if name is not None else re.sub(r"[^a-z0-9._-]+", "-", folder.resolve().name.lower()))
@@ -199,12 +200,19 @@ def read_index(folder: Path) -> dict:
     try:
         index = json.loads((folder / INDEX).read_text(encoding="utf-8"))
         _check_index(index)
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError, OverflowError) as error:
         raise InputError(f"library {folder.name}: its {INDEX} is missing or damaged; {again}") from error
     for name in (entry["file"] for entry in index["pictures"]):
-        if not _INSIDE.fullmatch(name) or (folder / name).is_symlink():
+        if not _lies_inside(folder, name):
             raise InputError(f"library {folder.name}: its {INDEX} names {name!r}, which lies outside of it; {again}")
     return index
+
+
+def _lies_inside(folder: Path, name: str) -> bool:
+    try:
+        return bool(_INSIDE.fullmatch(name)) and not (folder / name).is_symlink()
+    except OSError:  # longer than any file's name
+        return False
 
 
 def _check_index(index: dict) -> None:

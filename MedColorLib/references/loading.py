@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError
+from ..io.usable import usable
 from ..volume import ColorVolume
 from .color_sections import COLOR_SUFFIXES, read_sections, sections
 from .exposure import expose
@@ -50,8 +51,14 @@ def load_references(
     Raises:
         InputError: none given, or one that cannot be used; of a folder, none that can.
     """
-    if isinstance(references, (str, Path, np.ndarray, ColorVolume)):
+    if isinstance(references, (str, os.PathLike, np.ndarray, ColorVolume)):
         references = [references]
+    try:
+        references = list(references)
+    except TypeError as error:
+        raise InputError(
+            f"references: expected paths, names of libraries or arrays, got {type(references).__name__}"
+        ) from error
     prepared: list[Reference] = []
     for number, (item, mask) in enumerate(zip(references, masks_for(masks, len(references)))):
         prepared += [shrunk(reference, LONG_SIDE_PX) for reference in _of(item, number, mask)]
@@ -72,7 +79,7 @@ def _of(item, number: int, mask: Path | None) -> list[Reference]:
         raise InputError(f"reference {number + 1}: expected a path, the name of a library or an array, got {kind}")
     if not os.fspath(item).strip():
         raise InputError("reference: the name is empty; name a colour picture, a folder, a colour volume or a library")
-    path = Path(item)
+    path = usable(item, "reference")
     if mask is not None and (not path.exists() or _is_volume(path)):
         raise InputError(f"reference mask {mask.name}: {_MASKS_FOR}")
     if path.is_dir():
@@ -117,6 +124,9 @@ def _of_files(files: list[Path], group: str, masks: Path | None = None) -> list[
         mask = masks and mask_beside(masks, file)
         try:
             reference = replace(read_reference(file, mask), group=group)
+            if masks and not mask:
+                said = f"no mask of its name in {masks.name}: its tissue was found"
+                reference = replace(reference, notes=(*reference.notes, said))
         except InputError as error:
             log.warning("left out of %s: %s", group, error)
             left_out.append(f"{_LEFT_OUT} {group}: {error}")

@@ -77,7 +77,7 @@ def prepare_reference(rgb: np.ndarray, name: str = "reference", tissue: np.ndarr
         InputError: wrong shape or type, no colour in it, or less than 1 % tissue.
     """
     rgb = np.asarray(rgb)
-    if rgb.ndim != 3 or rgb.shape[2] != 3 or rgb.dtype != np.uint8:
+    if rgb.ndim != 3 or rgb.shape[2] != 3 or rgb.dtype != np.uint8 or not rgb.size:
         raise InputError(f"reference {name}: expected an RGB picture (h, w, 3) of uint8, got {rgb.dtype} {rgb.shape}")
     if int(np.ptp(rgb.astype(np.int16), axis=2).max()) <= 2:
         raise InputError(f"reference {name}: the picture has no colour; use a colour photograph")

@@ -17,12 +17,16 @@ import numpy as np
 
 from ..device import is_out_of_memory
 from ..errors import InputError
+from ..io.quiet import quiet_stderr
 from ..io.voxel_data import natural_key
+from .coded_color import CodedColor, png_color
 from .decoding import (
     IS_GREY,
     ORIENTATION,
+    TURNS,
     by_opencv,
     check_size,
+    check_strips,
     checked_unknown,
     decoding,
     exif_of,
@@ -30,7 +34,7 @@ from .decoding import (
     opened,
     pages,
     quiet_pillow,
-    quiet_stderr,
+    upright,
 )
 from .to_srgb import to_srgb
 
@@ -51,8 +55,8 @@ LONG_SIDE_PX = 2048  # of what is read; the body in it is cut out and made small
 _GREY = ("1", "L", "LA", "La", "I", "F")  # and I;16 of several orders of bytes
 _TURNED = "turned upright, as the orientation in its header says"
 _BAND_BYTES = 16 << 20  # of rows that are made smaller together
+_PROFILE = 34675  # the tag of an embedded ICC profile
 _TRANSPARENT = 127  # of 255, and below
-_TURNS = range(2, 9)  # EXIF's numbers of what does not lie upright
 
 
 @dataclass(frozen=True)
@@ -122,12 +126,19 @@ def _read(stream: BinaryIO, name: str, long_side: int | None) -> Picture:
     with decoding():
         image = opened(stream, name)
     if image is None:
-        about = _About(exif=checked_unknown(stream))
+        tags = checked_unknown(stream)
+        about = _About(profile=tags.get(_PROFILE), exif=tags)
         return _picture(by_opencv(stream), about, long_side)
     check_size(*image.size)
     whole, is_tiff, is_deep = image.size, image.format == "TIFF", has_16_bits(image)
-    about = _About(profile=image.info.get("icc_profile"), notes=pages(image))
+    about = _About(
+        profile=image.info.get("icc_profile"),
+        notes=pages(image),
+        png=png_color(image, stream),
+        plain_inks=image.mode == "CMYK" and image.format in ("JPEG", "MPO") and "adobe" not in image.info,
+    )
     if is_tiff:  # Pillow turns a TIFF while it loads it, and forgets how; of a PNG, EXIF may follow the pixels
+        check_strips(dict(image.tag_v2), os.fstat(stream.fileno()).st_size)
         about = replace(about, exif=exif_of(image))
     if long_side and max(whole) > long_side:
         image.draft(None, _fitting(whole, long_side))
@@ -155,17 +166,22 @@ def _loaded(image: Image.Image) -> InputError | None:
 
 @dataclass(frozen=True)
 class _About:
-    """What the header says of the pixels: ICC profile, tags, notes; the tags' orientation is still to be undone."""
+    """What the header says of the pixels: ICC profile, tags, notes; the tags' orientation is still to be undone.
+
+    `plain_inks`: CMYK that Pillow has turned round, as Adobe's programs store it, though nothing says that they did.
+    """
 
     profile: bytes | None = None
     exif: dict = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    png: CodedColor | None = None
+    plain_inks: bool = False
 
     @property
     def turned(self) -> int | None:
         """EXIF's number of what does not lie upright, or None."""
         number = self.exif.get(ORIENTATION)
-        return number if number in _TURNS else None
+        return number if number in TURNS else None
 
     def turned_already(self) -> _About:
         """The same of pixels that lie upright now."""
@@ -197,12 +213,17 @@ def _picture(decoded: Image.Image | np.ndarray, about: _About, long_side: int | 
             notes += (f"{100 * (1 - opaque.mean()):.0f} % of it is transparent, which is no tissue",)
     if max(small.size) < max(whole):
         notes += (f"{whole[0]} x {whole[1]} pixels, read as {small.width} x {small.height}",)
-    srgb, said = to_srgb(small, about.profile, about.exif)
+    if about.plain_inks:
+        from PIL import ImageChops
+
+        small = ImageChops.invert(small)
+        notes += ("its inks are taken as they are stored, as it does not bear Adobe's mark",)
+    srgb, said = to_srgb(small, about.profile, about.exif, about.png)
     rgb = np.array(srgb)
     if opaque is not None:
         rgb[~opaque] = 0
     if about.turned:
-        rgb, opaque = _upright(rgb, about.turned), opaque if opaque is None else _upright(opaque, about.turned)
+        rgb, opaque = upright(rgb, about.turned), opaque if opaque is None else upright(opaque, about.turned)
         whole = whole[::-1] if about.turned >= 5 else whole
         notes = (_TURNED, *notes)
     return Picture(rgb, opaque, whole[::-1], notes + said)
@@ -254,12 +275,3 @@ def _fitting(size: tuple[int, int], long_side: int) -> tuple[int, int]:
     """Width and height of the same shape, the longer one `long_side`."""
     scale = long_side / max(size)
     return max(1, round(size[0] * scale)), max(1, round(size[1] * scale))
-
-
-def _upright(values: np.ndarray, turned: int) -> np.ndarray:
-    """Undo an EXIF orientation of (h, w[, c])."""
-    if turned >= 5:
-        values = values.swapaxes(0, 1)
-    rows = -1 if turned in (3, 4, 7, 8) else 1
-    columns = -1 if turned in (2, 3, 6, 7) else 1
-    return np.ascontiguousarray(values[::rows, ::columns])

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from .coded_color import ADOBE_RGB, CodedColor, decoded_color, words
+
 if TYPE_CHECKING:
     from PIL import Image
 
@@ -15,22 +17,25 @@ _ROUNDING = 2  # 8-bit levels that a conversion from sRGB to sRGB may change
 _EXIF, _COLOR_SPACE, _UNCALIBRATED, _ADOBE = 0x8769, 0xA001, 0xFFFF, 2
 _INTEROP, _INTEROP_INDEX = 0xA005, 1
 TAG_GROUPS = (_EXIF, _INTEROP)  # of EXIF, wanted here
-_ADOBE_TO_SRGB = np.array([[1.39836, -0.39836, 0.0], [0.0, 1.0, 0.0], [0.0, -0.04293, 1.04293]])  # linear, both D65
-_ADOBE_GAMMA = 563 / 256
 _SPACES = {"RGB": "RGB ", "CMYK": "CMYK", "LAB": "Lab "}
 
 
-def to_srgb(image: Image.Image, profile: bytes | None, exif: dict) -> tuple[Image.Image, tuple[str, ...]]:
+def to_srgb(
+    image: Image.Image, profile: bytes | None, exif: dict, png: CodedColor | None = None
+) -> tuple[Image.Image, tuple[str, ...]]:
     """Colours as sRGB, and what was decided.
 
     Args:
         image: of mode RGB, CMYK or LAB.
         profile: embedded ICC profile, or None.
         exif: nested tags; a camera set to Adobe RGB says so there and embeds no profile (DCF).
+        png: what the header of a PNG says in place of a profile.
 
     Returns:
         An image of mode RGB, and notes.
     """
+    if png is not None:
+        return _decoded(image, png), words(png)
     if profile:
         return _by_profile(image, profile)
     if image.mode == "LAB":
@@ -39,7 +44,7 @@ def to_srgb(image: Image.Image, profile: bytes | None, exif: dict) -> tuple[Imag
         note = "CMYK without a colour profile, its colours are approximate: convert it to sRGB in an image editor"
         return image.convert("RGB"), (note,)
     if _is_adobe_rgb(exif):
-        return _from_adobe_rgb(image), ("converted from Adobe RGB, which its EXIF names, to sRGB",)
+        return _decoded(image, ADOBE_RGB), ("converted from Adobe RGB, which its EXIF names, to sRGB",)
     return image, ()
 
 
@@ -77,10 +82,7 @@ def _is_adobe_rgb(exif: dict) -> bool:
     return space == _ADOBE or (space == _UNCALIBRATED and str(index)[:3] == "R03")
 
 
-def _from_adobe_rgb(image) -> Image.Image:
+def _decoded(image, color: CodedColor) -> Image.Image:
     from PIL import Image
 
-    levels = np.linspace(0, 1, 256, dtype=np.float32) ** _ADOBE_GAMMA
-    linear = np.clip(levels[np.asarray(image)] @ _ADOBE_TO_SRGB.T.astype(np.float32), 0, 1)
-    encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-    return Image.fromarray(np.rint(255 * encoded).astype(np.uint8))
+    return Image.fromarray(decoded_color(np.asarray(image.convert("RGB")), color))

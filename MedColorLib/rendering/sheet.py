@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import OutputError, SettingsError
-from ..output import followed
+from ..output import atomic_output
 from ..scan.intensity import apply_window, choose_window
 from ..volume import ColorVolume, Volume
 from .grid import (
@@ -166,16 +166,8 @@ def write_png(target: Path, picture: np.ndarray) -> None:
     import cv2
 
     _, data = cv2.imencode(".png", picture[..., ::-1])
-    target = followed(target)
-    unfinished = target.with_name(f".{target.name}.{os.getpid()}.part")
-    try:
-        unfinished.write_bytes(data.tobytes())
-        os.replace(unfinished, target)
-    except OSError as error:
-        reason = f"{target}: cannot be written ({error.strerror}); check the folder's rights and the space left"
-        raise OutputError(reason) from error
-    finally:
-        unfinished.unlink(missing_ok=True)
+    with atomic_output(target) as temporary:
+        temporary.write_bytes(data.tobytes())
 
 
 def _check_sheet_size(size: tuple[int, int]) -> None:

@@ -7,6 +7,7 @@ plays; OpenCV, which is here anyway, can only write codecs that most of them do 
 from __future__ import annotations
 
 import os
+import secrets
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -14,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import MissingPackageError, OutputError, SettingsError
+from ..output import atomic_output
 from ..volume import ColorVolume
 from .grid import VOXEL_BUDGET, Cut, cut_grid, prepare_grid
 from .offscreen import Stage, check_size
@@ -59,11 +61,15 @@ def turntable(
     kind = target.suffix.lower()
     _check(target, kind, size, frames)
     opacity_curve(opacity)
-    unfinished = target.with_name(f"{target.name}.{os.getpid()}.part{kind}")
     pictures = _pictures(color, view, size, frames, opacity, light, cut, voxel_budget, progress)
+    if kind:
+        with atomic_output(target) as temporary:
+            _write(temporary, kind, pictures)
+        return target
+    unfinished = target.with_name(f".{secrets.token_hex(4)}-unfinished-{target.name}")
     try:
         _write(unfinished, kind, pictures)
-        if kind or not target.exists():
+        if not target.exists():
             os.replace(unfinished, target)
         else:  # a folder that is there, empty
             for picture in sorted(unfinished.iterdir()):
@@ -71,7 +77,7 @@ def turntable(
     except OSError as error:
         raise OutputError(f"{target}: cannot be written ({error.strerror or error}); check the folder") from error
     finally:
-        shutil.rmtree(unfinished, ignore_errors=True) if unfinished.is_dir() else unfinished.unlink(missing_ok=True)
+        shutil.rmtree(unfinished, ignore_errors=True)
     return target
 
 

@@ -34,6 +34,8 @@ def choose_body(view: np.ndarray | PlaneBlocks, volume: Volume, settings: Settin
     labels = mask.labels if mask.placed else Volume(mask.labels.array, volume.ijk_to_ras, name=mask.labels.name)
     require_scan_grid(labels, volume, "body")
     present_labels(labels, "body")
+    if np.array_equal(labels.array, volume.array) and labels.array.max() > 1:
+        raise SettingsError(f"body: {labels.name} is the scan itself; give a label volume: 0 is air, all else the body")
     return given_body(planes_of(order.view(labels.array)), labels.name)
 
 

@@ -24,18 +24,24 @@ import tempfile
 import time
 import traceback
 import warnings
+import zlib
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 from sound_files import (
+    PHOTOGRAPH_SHAPE,
+    make_colors,
     make_dicom,
     make_labels,
     make_library,
     make_metaimage,
     make_nifti,
     make_nrrd,
+    make_pair,
+    make_photographs,
+    make_plain,
     make_png,
     make_tiff,
 )
@@ -71,7 +77,9 @@ def read_scan(path: Path) -> None:
 
     for number in (None, 1):
         try:
-            float(read_volume(path, max_bytes=MAX_BYTES, volume=number).array.sum(dtype=np.float64))
+            volume = read_volume(path, max_bytes=MAX_BYTES, volume=number)
+            with np.errstate(all="ignore"):  # infinities of a damaged file may meet
+                float(volume.array.sum(dtype=np.float64))
         except _errors():
             continue
     list_volumes(path)
@@ -89,6 +97,25 @@ def read_labels(path: Path) -> None:
     read_label_picture(path)
 
 
+def read_photograph(path: Path) -> None:
+    """A photograph as a reference, and as the mask of one."""
+    from MedColorLib.references.given_mask import read_mask
+    from MedColorLib.references.pictures import load_picture
+
+    try:
+        read_mask(path, PHOTOGRAPH_SHAPE)
+    except _errors():
+        pass
+    load_picture(path)
+
+
+def read_color_volume(path: Path) -> None:
+    """A colour volume as references."""
+    from MedColorLib.references.color_sections import read_sections
+
+    read_sections(path)
+
+
 def read_library(path: Path) -> None:
     """An index, and the references that it names."""
     from MedColorLib.references.library import read_index
@@ -102,9 +129,13 @@ KINDS: dict[str, tuple[Callable[[Path], None], Callable[[Path], None], str]] = {
     "nrrd": (make_nrrd, read_scan, "*.n*r*"),
     "metaimage": (make_metaimage, read_scan, "*.mh*"),
     "nifti": (make_nifti, read_scan, "*.nii*"),
+    "pair": (make_pair, read_scan, "*.hdr"),
     "dicom": (make_dicom, read_slices, "*/*.dcm"),
     "png": (make_png, read_slices, "*/*.png"),
     "tiff": (make_tiff, read_scan, "*.tif"),
+    "plain": (make_plain, read_slices, "*/*.*"),
+    "photograph": (make_photographs, read_photograph, "p.*"),
+    "colors": (make_colors, read_color_volume, "*.[mn]*"),
     "labels": (make_labels, read_labels, "*.png"),
     "library": (make_library, read_library, "*.json"),
 }
@@ -137,7 +168,7 @@ def mutated(data: bytes, chance: random.Random) -> bytes:
         elif damage == 4:
             data = data[:at] + data[at : at + chance.randrange(1, 80)] + data[at:]
         elif damage == 5 and chance.random() < 0.3:
-            data = data[: chance.randrange(1, len(data) + 1)]
+            data = data[: chance.randrange(1, max(len(data), 1) + 1)]
         else:
             data = _with_another_word(data, head, chance)
     return data
@@ -155,6 +186,20 @@ def _with_another_word(data: bytes, head: int, chance: random.Random) -> bytes:
     return data[: place.start()] + word + data[place.end() :]
 
 
+def damaged(kind: str, data: bytes, chance: random.Random) -> bytes:
+    """`mutated`; of most PNG photographs with the right check sums, or every reader would stop at the first chunk."""
+    data = mutated(data, chance)
+    if kind != "photograph" or data[:4] != b"\x89PNG" or chance.random() < 0.2:
+        return data
+    at, parts = 8, [data[:8]]
+    while at + 12 <= len(data):
+        size = int.from_bytes(data[at : at + 4], "big")
+        body = data[at + 4 : at + 8 + size]
+        parts += [data[at : at + 4], body, struct.pack(">I", zlib.crc32(body))]
+        at += 12 + size
+    return b"".join([*parts, data[at:]])
+
+
 def run_case(kind: str, seed: int, folder: Path) -> str:
     """One case, in a folder with the sound files. Returns "read" or "refused".
 
@@ -166,7 +211,7 @@ def run_case(kind: str, seed: int, folder: Path) -> str:
     path = chance.choice(sorted(folder.glob(pattern)))
     data = path.read_bytes()
     try:
-        path.write_bytes(mutated(data, chance))
+        path.write_bytes(damaged(kind, data, chance))
         target(path)
         return "read"
     except _errors():
@@ -254,7 +299,7 @@ def keep(kind: str, seed: int, where: Path) -> None:
         chance = random.Random(f"{kind} {seed}")
         path = chance.choice(sorted(Path(folder).glob(KINDS[kind][2])))
         where.mkdir(parents=True, exist_ok=True)
-        (where / f"{kind}-{seed}-{path.name}").write_bytes(mutated(path.read_bytes(), chance))
+        (where / f"{kind}-{seed}-{path.name}").write_bytes(damaged(kind, path.read_bytes(), chance))
 
 
 def main() -> int:

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
+PHOTOGRAPH_SHAPE = (40, 50)
+
 
 def _array(dtype: str = "i2") -> np.ndarray:
     return np.random.default_rng(7).integers(0, 100, (4, 5, 6)).astype(dtype)
@@ -64,6 +66,13 @@ def make_nifti(folder: Path) -> None:
     image.header.set_slope_inter(0.5, 3)
     nib.save(image, folder / "c.nii")
     nib.save(nib.Nifti2Image(np.stack([_array().T] * 2, axis=3), np.eye(4)), folder / "d.nii")
+
+
+def make_pair(folder: Path) -> None:
+    """A NIfTI header with its voxels beside it."""
+    import nibabel as nib
+
+    nib.save(nib.Nifti1Pair(_array().T, np.diag([2.0, 2, 3, 1])), folder / "a.hdr")
 
 
 def make_dicom(folder: Path) -> None:
@@ -141,6 +150,51 @@ def make_tiff(folder: Path) -> None:
         folder / "d.ome.tif", channels, metadata={"axes": "ZCYX", "PhysicalSizeX": 2.0}, photometric="minisblack"
     )
     cv2.imwritemulti(str(folder / "e.tif"), list(array), [cv2.IMWRITE_TIFF_COMPRESSION, 5])
+
+
+def make_plain(folder: Path) -> None:
+    """Folders of slices: BMP, JPEG."""
+    from PIL import Image
+
+    for kind in ("bmp", "jpg"):
+        (folder / kind).mkdir()
+        for n, plane in enumerate(_array("u1")):
+            Image.fromarray(np.kron(plane, np.ones((4, 4), np.uint8))).save(folder / kind / f"{n}.{kind}")
+
+
+def make_photographs(folder: Path) -> None:
+    """Formats and what tells their colours and orientation: profiles, gamma and primaries, EXIF, inks, 16 bits, transparency."""
+    import cv2
+    from PIL import Image, ImageCms
+
+    rows, columns = PHOTOGRAPH_SHAPE
+    colors = np.zeros((rows, columns, 3), np.uint8)
+    colors[..., 0], colors[..., 1], colors[..., 2] = 190, np.arange(columns) * 4, np.arange(rows)[:, None] * 5
+    image, exif = Image.fromarray(colors), Image.Exif()
+    exif[0x112] = 3
+    profile = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
+    image.save(folder / "p.jpg", exif=exif, icc_profile=profile)
+    image.convert("CMYK").save(folder / "p.jpeg")
+    image.save(folder / "p.tif", exif=exif, icc_profile=profile)
+    image.save(folder / "p.webp", exif=exif, lossless=True)
+    image.save(folder / "p.bmp")
+    image.convert("P").save(folder / "p.gif", transparency=3)
+    deep = np.dstack([colors[..., ::-1].astype(np.uint16) * 257, np.full((rows, columns), 65535, np.uint16)])
+    data = cv2.imencode(".png", deep)[1].tobytes()
+    (folder / "p.png").write_bytes(data)
+    numbers = (31270, 32900, 68000, 32000, 26500, 69000, 15000, 6000)
+    parts = [(b"gAMA", struct.pack(">I", 50000)), (b"cHRM", struct.pack(">8I", *numbers)), (b"cICP", b"\x0c\x0d\0\1")]
+    chunks = (struct.pack(">I", len(d)) + n + d + struct.pack(">I", zlib.crc32(n + d)) for n, d in parts)
+    (folder / "p.apng").write_bytes(data[:33] + b"".join(chunks) + data[33:])
+
+
+def make_colors(folder: Path) -> None:
+    """Colour volumes: raw, packed and detached."""
+    import SimpleITK as sitk
+
+    image = sitk.GetImageFromArray(np.repeat(_array("u1")[..., None] + 1, 3, axis=3), isVector=True)
+    for name in ("a.mha", "b.mha", "c.mhd", "d.nrrd", "e.nii", "f.nii.gz"):
+        sitk.WriteImage(image, str(folder / name), useCompression=name == "b.mha")
 
 
 def make_labels(folder: Path) -> None:

@@ -10,9 +10,11 @@ from headers import KINDS, MAX_GROWTH, _peak_bytes, run_case
 FAULTS_OF_LONG_RUNS = {
     "nrrd": (1000805, 1002864),
     "nifti": (249, 263, 1329, 1479, 1952),
-    "png": (405, 1085, 1140),
-    "tiff": (245, 2361),
+    "png": (405, 1085, 1140, 2020091),
+    "photograph": (328, 1268, 32234),
+    "tiff": (245, 2361, 2010277),
     "metaimage": (1000127, 1005521),
+    "library": (2007525, 2011007, 2017257, 2024127),
     "labels": (1014617, 1021286),
 }
 

@@ -102,7 +102,7 @@ def test_volumes(folder, capfd, name, words):
     ("name", "words"),
     [
         ("gone.png", "no file gone.png"),
-        ("void.png", "void.png: not a picture that can be read; use PNG, JPEG or TIFF"),
+        ("void.png", "void.png: the file is empty; copy or export it again"),
         ("broken.png", "broken.png"),
         ("notes.txt", "notes.txt: not a picture"),
         ("ct.nrrd", "ct.nrrd: not a colour volume"),

@@ -322,7 +322,7 @@ class TestReport:
     @pytest.mark.parametrize("name", ["missing/report.json", "folder"])
     def test_where_it_cannot_be_written(self, tmp_path, name):
         (tmp_path / "folder").mkdir()
-        with pytest.raises(OutputError, match=rf"report .*{name}: cannot be written"):
+        with pytest.raises(OutputError, match=rf"{name}: (cannot be written|is a folder)"):
             write_report({"a": 1}, tmp_path / name)
         assert [p.name for p in tmp_path.iterdir()] == ["folder"]
 

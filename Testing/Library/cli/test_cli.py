@@ -111,6 +111,11 @@ class TestColorize:
         )
         assert Settings.from_dict(report["settings"]) == expected
 
+    def test_lightness_is_of_natural_luminance_alone(self, files, capsys):
+        assert medcolor(*COLORIZE, "-o", "out.nrrd", "--luminance", "keep", "--lightness", "0.3") == 2
+        assert "--lightness belongs to --luminance natural; leave it out with keep" in capsys.readouterr().err
+        assert not files()
+
     def test_gamma_is_the_presets_unless_given(self, files):
         for given, expected in (((), None), (("--gamma", "on"), True), (("--gamma", "off"), False)):
             assert medcolor(*COLORIZE, "-o", "o.nrrd", "--report", "r.json", "--slices", "1:2", *given) == 0

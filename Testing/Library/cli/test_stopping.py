@@ -19,10 +19,13 @@ from volume_samples import save_nrrd
 from MedColorLib import read_color_volume
 from MedColorLib.cli.main import main
 from MedColorLib.cli.stopping import Stopped, stoppable
+from MedColorLib.cohort.batch import find_volumes
 from MedColorLib.cohort.terminal import plain
-from MedColorLib.errors import OutputError
+from MedColorLib.errors import InputError, OutputError
 from MedColorLib.matching import vote
 from MedColorLib.output import atomic_output, check_output_path
+from MedColorLib.references.library import add_library
+from MedColorLib.references.loading import load_references
 from MedColorLib.report import write_report
 
 pytestmark = pytest.mark.usefixtures("small_raster")
@@ -160,12 +163,54 @@ class TestOutputs:
         with pytest.raises(OutputError, match="a device or a pipe"):
             check_output_path(tmp_path / "a.nrrd")
 
+    @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes with names here")
+    @pytest.mark.parametrize("write", [lambda path: write_report({}, path), check_output_path])
+    def test_a_pipe_or_a_folder_is_never_replaced(self, write, tmp_path):
+        os.mkfifo(tmp_path / "p.nrrd")
+        (tmp_path / "l.nrrd").symlink_to("p.nrrd")
+        (tmp_path / "d.nrrd").mkdir()
+        for name, message in (("p", "a device or a pipe"), ("l", "a device or a pipe"), ("d", "is a folder")):
+            with pytest.raises(OutputError, match=message):
+                write(tmp_path / f"{name}.nrrd")
+        assert (tmp_path / "p.nrrd").is_fifo() and (tmp_path / "l.nrrd").is_symlink() and (tmp_path / "d.nrrd").is_dir()
+
+    @pytest.mark.parametrize("name", ["x" * 300, "a\0b"])
+    def test_names_that_no_file_can_have(self, name, tmp_path):
+        for call in (write_report, lambda _, path: check_output_path(path, (".json",))):
+            with pytest.raises(OutputError, match="cannot be the name of a file"):
+                call({}, tmp_path / f"{name}.json")
+        for call in (
+            lambda path: load_references([path]),
+            lambda path: load_references([np.zeros((9, 9, 3), np.uint8)], masks=[path]),
+            lambda path: find_volumes(path, "out"),
+            lambda path: find_volumes(tmp_path, path),
+            add_library,
+        ):
+            with pytest.raises(InputError, match="cannot be the name of a file or folder"):
+                call(str(tmp_path / f"{name}.png"))
+
+    def test_a_folder_that_is_a_file(self, tmp_path):
+        (tmp_path / "file").touch()
+        with pytest.raises(OutputError, match="Not a directory"):
+            write_report({}, tmp_path / "file" / "r.json")
+
     def test_what_is_replaced_is_said(self, files, capsys):
         Path("out.nrrd").write_bytes(b"former")
         assert main([*COLORIZE, "-o", "out.nrrd", "--report", "r.json"]) == 0
         assert capsys.readouterr().err == "medcolor: out.nrrd: the earlier file of this name was replaced\n"
         assert main([*COLORIZE, "-o", "new.nrrd", "--report", "r.json"]) == 0
         assert capsys.readouterr().err == "medcolor: r.json: the earlier file of this name was replaced\n"
+
+    @pytest.mark.parametrize("options", [[], ["--report", "r.json"]])
+    def test_what_a_killed_run_has_left_is_said_and_stays(self, options, files, capsys):
+        names = [".0123abcd-unfinished-out.nrrd", ".0123abcd-unfinished-r.json"]
+        others = [".0123abcd-unfinished-out2.nrrd", "0123abcd-unfinished-out.nrrd", ".x-unfinished-out.nrrd"]
+        for name in (*names, *others):
+            Path(name).write_bytes(b"half")
+        assert main([*COLORIZE, "-o", "out.nrrd", *options]) == 0
+        said = capsys.readouterr().err.splitlines()
+        assert len(said) == 1 + bool(options) and f"{names[0]}: left by a run that was killed" in said[0]
+        assert {*names, *others, "out.nrrd"} <= files()
 
     def test_in_a_batch_too(self, files, capsys):
         Path("scans").mkdir()

@@ -28,6 +28,7 @@ class TestFinding:
 
     def test_endings_are_those_of_the_readers(self):
         others = (*batch.TIFF_ENDINGS, *batch.DICOM_ENDINGS, ".png", ".jpg", ".jpeg", ".bmp")
+        others += (".hdr", ".img", ".hdr.gz", ".img.gz")  # which count together only
         assert {*batch.VOLUME_ENDINGS, *others} == {*_READERS}
 
     def test_dicom_folders_and_pages(self, tmp_path):
@@ -99,6 +100,13 @@ class TestBatch:
         assert str(cohort) not in json.dumps(summary)
         assert "broken.nrrd  failed   the voxels are cut short" in result.text()
         assert "Passed over, no volumes: 1 .txt" in result.text()
+
+    def test_a_reference_of_another_part_is_said_of_the_volume(self, cohort, monkeypatch):
+        found = [{"reference": "section", "slices": [1, 3], "why": "it is a hand", "remedy": "choose a head"}]
+        monkeypatch.setattr("MedColorLib.run.engine.reference_warnings", lambda *_: found)
+        text = run_batch("in", ["section.png"], "out", DRAFT).text()
+        said = "reference section does not seem to show what slices 1 to 3 show: it is a hand; choose a head"
+        assert all(said in line for line in text.splitlines() if " done " in line) and said in text
 
     def test_second_run_does_nothing(self, cohort, monkeypatch):
         run_batch("in", ["section.png"], "out", DRAFT)

@@ -70,6 +70,23 @@ def test_overlay_in_the_upper_bits(signed: int, tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_volume(tmp_path / "a.dcm").array[0], values)
 
 
+@pytest.mark.parametrize("signed", [0, 1])
+@pytest.mark.parametrize("packed", [False, True])
+def test_numbers_that_do_not_begin_at_the_lowest_bit(packed: bool, signed: int, tmp_path: Path) -> None:
+    values = np.arange(30).reshape(6, 5) * 130 - 2048 * signed
+    raw = ((values & 0x0FFF) << 3).astype(np.uint16) | np.uint16(0x8005)
+    ds = classic(raw, 0, 1, BitsStored=12, HighBit=14, PixelRepresentation=signed)
+    if packed:  # by hand: pydicom packs the lowest bits alone
+        planes_of_bytes = [(raw >> shift).astype(np.uint8).tobytes() for shift in (8, 0)]
+        halves = [bytes([len(half) - 1]) + half for half in planes_of_bytes]
+        offsets = np.array([2, 64, 64 + len(halves[0]), *[0] * 13], "<u4")
+        ds.file_meta.TransferSyntaxUID = RLELossless
+        ds.PixelData = encapsulate([offsets.tobytes() + b"".join(halves)])
+        ds["PixelData"].is_undefined_length = True
+    save(ds, tmp_path / "a.dcm")
+    np.testing.assert_array_equal(read_volume(tmp_path / "a.dcm").array[0], values)
+
+
 @pytest.mark.parametrize(
     "slope, intercept, dtype", [("1", "-1024", "i4"), ("2", "0", "i4"), ("0.5", "-10", "f4"), ("1", "0", "u2")]
 )
@@ -114,7 +131,9 @@ def test_damaged_picture_is_one_sentence(tmp_path: Path) -> None:
     ds.file_meta.TransferSyntaxUID = RLELossless
     ds.PixelData = encapsulate([b"no picture"])
     save(ds, tmp_path / "a.dcm")
-    with pytest.raises(InputError, match="DICOM slice 5 cannot be decoded; export the series again"):
+    with pytest.raises(
+        InputError, match=r"DICOM slice 5 \(packed as RLE Lossless\) cannot be decoded; export the series"
+    ):
         read_volume(tmp_path / "a.dcm")
 
 

@@ -43,6 +43,31 @@ def test_what_lies_in_the_root_hides_nothing(beside: str, tmp_path: Path) -> Non
     assert ("1 PNG or TIFF pictures beside" in volume.notes[0]) == (beside == "logo")
 
 
+def test_slices_that_are_named_as_pictures(tmp_path: Path) -> None:
+    save_stack(tmp_path, A, HEIGHTS)
+    for file in tmp_path.glob("*.dcm"):
+        file.rename(file.with_suffix(".png"))
+    volume = read_volume(tmp_path)
+    np.testing.assert_array_equal(volume.array, A)
+    assert not volume.notes
+
+
+@pytest.mark.parametrize("kind", ["dicom", "png", "bmp"])
+def test_volume_files_beside_are_said(kind: str, tmp_path: Path) -> None:
+    if kind == "dicom":
+        save_medium(tmp_path)
+    else:
+        for n in range(4):
+            cv2.imwrite(str(tmp_path / f"{n}.{kind}"), np.full((5, 6), n, np.uint8))
+    for name in ("a.nii.gz", "b.nii.gz", "c.NRRD"):
+        (tmp_path / name).write_bytes(b"another")
+    said = " ".join(read_volume(tmp_path).notes)
+    assert (
+        "volume files in the folder itself (2 .nii.gz, 1 .nrrd) were not looked at; give one of them by its name"
+        in said
+    )
+
+
 def test_folders_below_can_be_left_alone(tmp_path: Path) -> None:
     save_medium(tmp_path)
     save(classic(A[0], 0, 1, SeriesInstanceUID="1.2.9"), tmp_path / "page.dcm")

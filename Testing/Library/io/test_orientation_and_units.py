@@ -129,6 +129,12 @@ def test_ends_of_the_axes_of_an_nrrd(lines: str, spacing: tuple, origin: tuple, 
         np.testing.assert_allclose(image.GetOrigin(), origin)
 
 
+def test_a_thickness_that_is_taken_for_the_distance_is_said(tmp_path: Path) -> None:
+    volume = read_volume(write_nrrd(tmp_path / "a.nrrd", "spacings: 2 2 nan\nthicknesses: nan nan 3"))
+    np.testing.assert_allclose(volume.spacing_mm, (2, 2, 3))
+    assert "thickness of slices, not their distance" in " ".join(volume.notes)
+
+
 @pytest.mark.parametrize(
     "unit, scale", [("m", 1000), ("um", 1e-3), ("µm", 1e-3), ("mm", 1), ("", 1), ("furlong", None)]
 )

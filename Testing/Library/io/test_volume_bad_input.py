@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import cv2
@@ -12,7 +13,7 @@ import SimpleITK as sitk
 from volume_samples import SHAPE, save_nrrd, sound_files, voxels
 
 from MedColorLib.errors import InputError
-from MedColorLib.io.files import read_volume, write_color_volume
+from MedColorLib.io.files import file_sha256, list_volumes, read_color_volume, read_volume, write_color_volume
 from MedColorLib.volume import ColorVolume
 
 
@@ -152,6 +153,14 @@ def test_damaged_compressed_voxels_are_noticed(name: str, tmp_path: Path) -> Non
         (tmp_path / name).write_bytes(damaged)
         with pytest.raises(InputError):
             read_volume(tmp_path / name)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes with names here")
+@pytest.mark.parametrize("read", [read_volume, list_volumes, read_color_volume, file_sha256])
+def test_a_pipe_is_not_waited_for(read, tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "a.nrrd")
+    with pytest.raises(InputError, match="neither a file nor a folder"):
+        read(tmp_path / "a.nrrd")
 
 
 def test_limit_on_size_names_both_sizes(tmp_path: Path) -> None:

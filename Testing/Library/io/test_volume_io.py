@@ -102,6 +102,9 @@ def test_nrrd_encodings_skips_and_spelling(tmp_path: Path) -> None:
         "gzip": ("encoding: gzip\nline skip: 1\nbyteskip: 2", b"a line\n" + gzip.compress(b"??" + raw)),
         "bzip2": ("encoding: bzip2", bz2.compress(raw)),
         "text": ("encoding: ascii", " ".join(map(str, array.ravel())).encode()),
+        "commas": ("encoding: text", ", ".join(map(str, array.ravel())).encode()),
+        "hex": ("encoding: hex\nbyte skip: 2", b"0a F" + b"F\n" + raw.hex("\n", 5).encode()),
+        "behind": ("encoding: gzip", gzip.compress(raw) + b"rubbish"),
     }
     for name, (more, data) in variants.items():
         (tmp_path / f"{name}.nrrd").write_bytes(f"NRRD0004\n# comment\n{fields}{more}\n\n".encode() + data)

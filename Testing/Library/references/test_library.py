@@ -146,6 +146,9 @@ class TestCommand:
         assert re.search(r"visible-human-male\s+3 references, 0\.\d MB\. Courtesy", capsys.readouterr().out)
         assert self.medcolor("library", "remove", NAME) == 0
         assert self.medcolor("library", "remove", NAME) == 2
+        capsys.readouterr()
+        assert self.medcolor("library", "list") == 0
+        assert "no library yet: `medcolor library add FOLDER` makes one" in capsys.readouterr().out
 
     def test_without_a_connection(self, capsys):
         assert self.medcolor("library", "fetch", NAME, "--yes", "--url", "https://127.0.0.1:9/") == 2

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import struct
 import subprocess
 import sys
@@ -68,8 +69,7 @@ class TestFormats:
         picture = load_picture(tmp_path / "p.mpo")
         assert far(picture.rgb, colors) <= LOSSY[".jpg"] and not picture.notes
 
-    @pytest.mark.parametrize("planar", [False, True])
-    def test_a_tiff_that_pillow_does_not_know(self, colors, planar, tmp_path, monkeypatch):
+    def test_a_tiff_that_pillow_does_not_know(self, colors, tmp_path, monkeypatch):
         """OpenCV reads it, and is told nothing that the header does not promise."""
         Image.fromarray(np.ascontiguousarray(STORED[6](colors))).save(tmp_path / "p.tif", tiffinfo={0x0112: 6})
         monkeypatch.setattr(decoding, "_FORMATS", ("PNG",))
@@ -87,7 +87,7 @@ class TestFormats:
             (b"PF\n2 2\n-1.0\n" + bytes(48), "floating point"),
             (b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n", "not a picture that can be read"),
             (b"%PDF-1.4\n", "not a picture that can be read"),
-            (b"", "not a picture that can be read"),
+            (b"", "the file is empty; copy or export it again"),
             (bytes(4000), "not a picture that can be read"),
             (b"II*\0\x08\0\0\0" + bytes(60), "not a picture that can be read|damaged"),
             (b"GIF89a" + bytes(3), "not a picture that can be read|damaged"),
@@ -110,6 +110,66 @@ class TestFormats:
         with pytest.raises(InputError, match=r"reference p\.png: "):
             load_picture(tmp_path / "p.png")
         assert capfd.readouterr().err == ""
+
+    @pytest.mark.parametrize("dtype", ["u1", "u2"])
+    @pytest.mark.parametrize("kind", ["strips", "planar", "tiles", "packed", "big"])
+    def test_a_tiff_of_which_a_part_is_not_there(self, kind, dtype, colors, tmp_path):
+        """Pillow would leave it black, OpenCV as its memory was."""
+        import tifffile
+
+        options = {"strips": {"rowsperstrip": 7}, "planar": {"planarconfig": "separate"}, "tiles": {"tile": (16, 16)}}
+        options |= {"packed": {"compression": "zlib"}, "big": {"bigtiff": True}}
+        values = colors.astype(dtype) * (257 if dtype == "u2" else 1)
+        values = np.moveaxis(values, -1, 0) if kind == "planar" else values
+        tifffile.imwrite(tmp_path / "p.tif", values, photometric="rgb", **options[kind])
+        data = (tmp_path / "p.tif").read_bytes()
+        assert far(load_picture(tmp_path / "p.tif").rgb, colors) == 0
+        for length in (len(data) * 2 // 3, len(data) - 3):
+            (tmp_path / "p.tif").write_bytes(data[:length])
+            with pytest.raises(InputError, match=r"reference p\.tif: the picture is damaged or cut short"):
+                load_picture(tmp_path / "p.tif")
+        with tifffile.TiffFile(io.BytesIO(data)) as file:
+            at, wide = file.pages[0].tags[257].valueoffset, file.pages[0].tags[257].dtype
+        more = struct.pack("<H" if wide == 3 else "<I", 4000)
+        (tmp_path / "p.tif").write_bytes(data[:at] + more + data[at + len(more) :])
+        with pytest.raises(InputError, match="damaged or cut short"):
+            load_picture(tmp_path / "p.tif")
+
+    @pytest.mark.parametrize("channels", [3, 4])
+    @pytest.mark.parametrize("compression", [None, "zlib"])
+    def test_planes_of_single_colours_with_sixteen_bits(self, compression, channels, colors, tmp_path):
+        """OpenCV takes them for pixels."""
+        import tifffile
+
+        values = np.dstack([colors, np.full(SHAPE, 255, np.uint8)])[..., :channels].astype(np.uint16) * 257
+        extra = {"extrasamples": ["unassalpha"]} if channels == 4 else {}
+        planes, options = np.moveaxis(values, -1, 0), {"photometric": "rgb", "planarconfig": "separate", **extra}
+        tifffile.imwrite(tmp_path / "p.tif", planes, compression=compression, **options)
+        assert far(load_picture(tmp_path / "p.tif").rgb, colors) == 0
+
+    @pytest.mark.parametrize("order", ["<", ">"])
+    @pytest.mark.parametrize("dtype", ["u1", "u2"])
+    @pytest.mark.parametrize("big", [False, True])
+    def test_a_fourth_channel_of_a_tiff_that_is_no_transparency(self, big, dtype, order, colors, tmp_path):
+        import tifffile
+
+        values = np.dstack([colors, np.zeros(SHAPE, np.uint8)]).astype(dtype) * (257 if dtype == "u2" else 1)
+        options = {"photometric": "rgb", "extrasamples": ["unspecified"], "bigtiff": big, "byteorder": order}
+        tifffile.imwrite(tmp_path / "p.tif", values, **options)
+        picture = load_picture(tmp_path / "p.tif")
+        assert far(picture.rgb, colors) == 0 and picture.opaque is None
+
+    @pytest.mark.parametrize("length", [0x7FFFFFFF, 0x10000000])
+    def test_a_chunk_longer_than_the_file_never_reaches_opencv(self, length, colors, tmp_path, monkeypatch):
+        """It would take as much memory as the chunk says that it holds."""
+        data = cv2.imencode(".png", colors.astype(np.uint16) * 257)[1].tobytes()
+        at = data.index(b"IDAT") - 4
+        (tmp_path / "p.png").write_bytes(data[:at] + struct.pack(">I", length) + data[at + 4 :])
+        reached: list = []
+        monkeypatch.setattr(cv2, "imdecode", lambda *_: reached.append(1))
+        with pytest.raises(InputError, match="damaged or cut short"):
+            load_picture(tmp_path / "p.png")
+        assert not reached
 
     @pytest.mark.parametrize("compression", ["tiff_lzw", "tiff_adobe_deflate", "jpeg"])
     def test_a_damaged_tiff_is_told_in_one_sentence(self, compression, tmp_path, capfd, rng):

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import struct
+import zlib
+
 import cv2
 import numpy as np
 import pytest
+from pictures_samples import STORED
+from PIL import Image
 from scipy.ndimage import gaussian_filter
 
 from MedColorLib.errors import InputError, SettingsError
 from MedColorLib.parameters import Settings
 from MedColorLib.phantom import section
+from MedColorLib.references import given_mask
 from MedColorLib.references.loading import describe_references, load_references
 from MedColorLib.references.photograph import prepare_reference
 from MedColorLib.references.tissue_mask import FILLS, find_tissue, tissue_mask
@@ -137,8 +143,6 @@ class TestGiven:
 
     @pytest.mark.parametrize("kind", ["white", "labels", "colour", "alpha", "palette"])
     def test_masks_of_every_kind(self, kind, tmp_path):
-        from PIL import Image
-
         picture, truth = body(BACKGROUNDS["wood"])
         own, path = np.roll(truth, 9, axis=1), tmp_path / "mask.png"
         if kind == "palette":
@@ -165,6 +169,30 @@ class TestGiven:
         first, second = load_references([tmp_path / "photographs"], masks=[str(tmp_path / "masks")])
         assert overlap(first.mask, first.frame.cut(truth)) > 0.94
         np.testing.assert_array_equal(second.mask, second.frame.cut(half))
+        assert "no mask of its name in masks: its tissue was found" in first.notes and not second.notes
+
+    @pytest.mark.parametrize("ending", [".png", ".tif", ".jpg"])
+    @pytest.mark.parametrize("number", [2, 3, 6, 8])
+    def test_a_mask_is_turned_as_its_header_says(self, number, ending, tmp_path):
+        picture, truth = body(BACKGROUNDS["wood"])
+        own = np.roll(truth, 9, axis=1)
+        stored = np.ascontiguousarray(STORED[number](own[..., None])[..., 0])
+        exif = Image.Exif()
+        exif[0x112] = number
+        Image.fromarray(np.where(stored, 255, 0).astype(np.uint8)).save(tmp_path / f"m{ending}", exif=exif)
+        (reference,) = load_references([picture], masks=[str(tmp_path / f"m{ending}")])
+        assert overlap(reference.mask, reference.frame.cut(own)) > (0.99 if ending == ".jpg" else 0.9999)
+
+    @pytest.mark.parametrize("size", [(13000, 13000), (60000, 60000), (1 << 30, 1 << 30)])
+    def test_a_mask_of_another_size_is_not_decoded(self, size, tmp_path, monkeypatch):
+        cv2.imwrite(str(tmp_path / "m.png"), np.ones((24, 30), np.uint8))
+        data = bytearray((tmp_path / "m.png").read_bytes())
+        data[16:24] = struct.pack(">II", *size)
+        data[29:33] = struct.pack(">I", zlib.crc32(data[12:29]))
+        (tmp_path / "m.png").write_bytes(data)
+        monkeypatch.setattr(given_mask, "stored_values", None)  # would raise TypeError
+        with pytest.raises(InputError, match=r"reference mask m\.png: .*(the photograph has 300 x 240|megapixels)"):
+            load_references([body(BACKGROUNDS["wood"])[0]], masks=[str(tmp_path / "m.png")])
 
     @pytest.mark.parametrize(
         ("mask", "message"),
@@ -183,6 +211,15 @@ class TestGiven:
             load_references([body(BACKGROUNDS["wood"])[0]], masks=["a.png", "b.png"])
         with pytest.raises(InputError, match="no file"):
             load_references([body(BACKGROUNDS["wood"])[0]], masks=["a.png"])
+
+    def test_a_folder_for_one_photograph(self, tmp_path):
+        with pytest.raises(InputError, match="a folder, and the reference is one picture"):
+            load_references([body(BACKGROUNDS["wood"])[0]], masks=[str(tmp_path)])
+
+    @pytest.mark.parametrize("references", [None, 3, [np.zeros((0, 9, 3), np.uint8)], [b"a.png"]])
+    def test_what_can_be_no_reference(self, references):
+        with pytest.raises(InputError, match="expected"):
+            load_references(references)
 
     def test_settings(self):
         assert Settings(reference_masks="m.png").reference_masks == ("m.png",)

@@ -103,6 +103,12 @@ def test_masks_that_do_not_fit_are_refused(ct, mask):
             replace(DRAFT, body=given)
 
 
+def test_the_scan_is_no_mask_of_itself(ct):
+    scan = replace(ct.volume, array=ct.volume.array - ct.volume.array.min())
+    with pytest.raises(SettingsError, match="is the scan itself; give a label volume"):
+        make_plan(scan, [ct.reference], replace(DRAFT, body=scan))
+
+
 def test_a_batch_takes_no_mask(ct, mask, tmp_path):
     from MedColorLib.cohort.batch import Found, make_tasks
 
