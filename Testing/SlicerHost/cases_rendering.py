@@ -2,59 +2,17 @@
 
 from __future__ import annotations
 
-import mrml
 import numpy as np
 import pytest
 import slicer
 import vtk
-from host_fixtures import LEFT, RIGHT, color_node, two_colors
-
-SOLID = 0.88  # hardly anything shines through
-SIZE = 120  # pixels; software rendering takes a third of a second for such a picture
-
-
-@pytest.fixture(scope="module")
-def view(host):
-    return mrml.OffscreenView(host, "1", SIZE)
-
-
-@pytest.fixture(scope="module")
-def second_view(host, view):
-    return mrml.OffscreenView(host, "2", SIZE)
-
-
-@pytest.fixture
-def rendering_show(scene):
-    from MedColorSlicer import rendering_show
-
-    return rendering_show
-
-
-@pytest.fixture
-def rendering(scene):
-    from MedColorSlicer import rendering
-
-    return rendering
-
-
-def look(view, node):
-    bounds = [0.0] * 6
-    node.GetRASBounds(bounds)
-    view.make_plain()
-    view.look_at(bounds)
-    return view.render().astype(int)
+from host_fixtures import LEFT, RIGHT, SIZE, SOLID, color_node, look, sides, two_colors
 
 
 def unshaded(rendering, node):
     prop = rendering.display_node_of(node).GetVolumePropertyNode().GetVolumeProperty()
     prop.ShadeOff()
     return prop
-
-
-def sides(picture):
-    """Colours at the centres of the two halves; RAS x grows to the left of the picture, seen from behind."""
-    middle, beside = SIZE // 2, SIZE // 5
-    return picture[middle, middle + beside], picture[middle, middle - beside]
 
 
 def test_known_colors_come_out_as_themselves(view, rendering, rendering_show):
