@@ -167,6 +167,7 @@ _PLAN_FIELDS = (
 
 def _work(compute, answer: dict) -> None:
     try:
-        answer["plan"] = compute()
+        with running.a_core_for_the_window():
+            answer["plan"] = compute()
     except Exception as error:  # handed over and shown in the panel
         answer["error"] = error
