@@ -9,7 +9,7 @@ import qt
 import slicer
 from slicer.i18n import tr as _
 
-from . import dependencies, labels, parameters, running
+from . import dependencies, parameters, running
 
 _DELAY_MS = 400  # after the last change
 _POLL_MS = 50
@@ -76,7 +76,7 @@ class PlanPart:
         self._asked = question
         try:
             self._settings, pictures = parameters.settings_from(p), panel.inputs.references()
-            compute = panel.logic.planner(p.inputVolume, pictures, self._settings, p.roi, p.labels)
+            compute = panel.logic.planner(p.inputVolume, pictures, self._settings, **panel.nodes.arguments())
         except Exception as error:  # what is wrong is said in the plan's place
             self._tell(panel.explain(error))
             return
@@ -89,9 +89,7 @@ class PlanPart:
     def _question(self, p) -> tuple:
         image = p.inputVolume.GetImageData()
         values = [getattr(p, name) for name in _PLAN_FIELDS]
-        others = [node.GetMTime() if node else 0 for node in (p.roi, p.referenceNode)]
-        others.append(labels.state_of(p.labels))
-        return (p.inputVolume.GetID(), image.GetMTime(), *others, *values)
+        return (p.inputVolume.GetID(), image.GetMTime(), *self.panel.nodes.state(), *values)
 
     def _look(self) -> None:
         if self._worker is None:
@@ -160,7 +158,8 @@ def learn(preset: str, slices: int, seconds: float) -> None:
 
 _PLAN_FIELDS = (
     "referenceSource", "referencePath", "pickedReference", "preset", "features", "smoother", "smootherAutomatic",
-    "smootherOptions", "coherenceMm", "luminance", "lightness", "gamma", "windowAutomatic", "windowLow", "windowHigh",
+    "smootherOptions", "coherenceMm", "luminance", "lightness", "gamma", "exposure", "exposureGain",
+    "referenceMaskPath", "body", "groupLabels", "windowAutomatic", "windowLow", "windowHigh",
     "allSlices", "firstSlice", "lastSlice", "device",
 )  # fmt: skip
 

@@ -57,7 +57,7 @@ class PreviewPart:
             job.cancelled,
             run=self.panel.runResponsive,
             previous=self._node,
-            labels=p.labels,
+            **self.panel.nodes.arguments(),
         )
         comparison.overlay(slicer.mrmlScene, grey, self._node, 1.0)
         text = _("Preview of slice {index}, at draft quality.").format(index=index)

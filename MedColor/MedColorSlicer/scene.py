@@ -150,10 +150,8 @@ def region_from_roi(roi_node, input_node):
     return tuple((int(low[axis]), int(high[axis])) for axis in (2, 1, 0))
 
 
-def settings_for_region(settings, region, input_node):
-    """Settings that colour only the slices a region meets; as they are without a region.
-
-    Whole slices are coloured, because the outline of the body is what they are matched by; `only_inside` cuts the rest.
+def with_region(settings, region, input_node):
+    """Settings that colour only a region ((k0, k1), (j0, j1), (i0, i1)); as they are without one.
 
     Raises:
         MedColorLib.errors.InputError: the region meets none of the slices asked for.
@@ -166,26 +164,9 @@ def settings_for_region(settings, region, input_node):
     start, stop = region[order.axes[0]]
     if order.flips[0]:
         start, stop = count - stop, count - start
-    if settings.slices:
-        start, stop = max(start, settings.slices[0]), min(stop, settings.slices[1])
-    if start >= stop:
+    if settings.slices and max(start, settings.slices[0]) >= min(stop, settings.slices[1]):
         raise InputError(_("The region of interest meets none of the chosen slices; move it or choose all slices."))
-    return dataclasses.replace(settings, slices=(start, stop))
-
-
-def only_inside(color_volume, region):
-    """The result with black outside a region ((k0, k1), (j0, j1), (i0, i1)); as it is without one."""
-    if region is None:
-        return color_volume
-    import numpy as np
-
-    box = tuple(slice(start, stop) for start, stop in region)
-    parts = {"rgb": color_volume.rgb, "confidence": color_volume.confidence}
-    for name, values in parts.items():
-        if values is not None:
-            parts[name] = np.zeros_like(values)
-            parts[name][box] = values[box]
-    return dataclasses.replace(color_volume, **parts, report={**color_volume.report, "region_kji": region})
+    return dataclasses.replace(settings, region=region)
 
 
 def stack_of(node, plane: str = "transverse"):

@@ -10,14 +10,16 @@ from slicer.i18n import tr as _
 from slicer.ScriptedLoadableModule import ScriptedLoadableModuleWidget
 from slicer.util import VTKObservationMixin
 
-from . import labels, rendering_guard, scene
+from . import rendering_guard, scene
 from .logic import MedColorLogic
 from .panel_display import DisplayPart
 from .panel_inputs import InputsPart
+from .panel_nodes import NodesPart
 from .panel_plan import PlanPart
 from .panel_preview import PreviewPart
 from .panel_run import Runs
 from .panel_smoother import SmootherPart
+from .panel_volumes import VolumesPart
 from .scene_watch import SceneWatch
 
 
@@ -45,6 +47,8 @@ class MedColorWidget(Runs, ScriptedLoadableModuleWidget, VTKObservationMixin):
         self.logic = MedColorLogic()
         rendering_guard.guard_of(slicer.mrmlScene)
         self.inputs = InputsPart(self)
+        self.nodes = NodesPart(self)
+        self.volumes = VolumesPart(self)
         self.smoother = SmootherPart(self)
         self.display = DisplayPart(self)
         self.preview = PreviewPart(self)
@@ -193,9 +197,11 @@ class MedColorWidget(Runs, ScriptedLoadableModuleWidget, VTKObservationMixin):
             return
         self._outputOfInput()
         p, ui = self._parameterNode, self.ui
-        nodes = (p.inputVolume, p.outputVolume, p.referenceNode, p.labels, p.roi)
+        nodes = (p.inputVolume, p.outputVolume, p.referenceNode, *self.nodes.nodes())
         self.watch.follow(scene.behind(*nodes, *self.display.watched()))
         self.inputs.update()
+        self.nodes.update()
+        self.volumes.update()
         self.smoother.update()
         self.display.update()
         self.say(self._message)
@@ -214,7 +220,7 @@ class MedColorWidget(Runs, ScriptedLoadableModuleWidget, VTKObservationMixin):
         p = self._parameterNode
         if p is None:
             return _("The scene is being closed.")
-        problem = scene.input_problem(p.inputVolume) or self.inputs.problem() or labels.labels_problem(p.labels)
+        problem = scene.input_problem(p.inputVolume) or self.inputs.problem() or self.nodes.problem()
         if problem:
             return problem
         if p.outputVolume is not None and p.outputVolume is p.referenceNode and p.referenceSource == "node":

@@ -131,6 +131,10 @@ class StandIn:
         rgb = np.zeros((*volume.array.shape, 3), np.uint8)
         rgb[..., :] = (150, 100, 50)
         rgb[volume.array == 0] = 0
+        if settings.region:
+            inside = np.zeros(rgb.shape[:3], bool)
+            inside[tuple(slice(*ends) for ends in settings.region)] = True
+            rgb[~inside] = 0
         self.finished += 1
         report = {"settings": settings.to_dict(), "made_by": "stand-in", **self.report}
         confidence = (volume.array != 0).astype(np.uint8) * 75 if settings.confidence else None
