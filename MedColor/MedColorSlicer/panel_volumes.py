@@ -24,7 +24,7 @@ class VolumesPart:
     def update(self) -> None:
         """List and box in line with the scene."""
         p, ui = self.panel.parameters, self.ui
-        others, marked = self._others(), self.marked()
+        others, marked = self.others(), self.marked()
         ui.otherVolumesLabel.visible = ui.otherVolumesList.visible = bool(others)
         ui.allTimePointsCheckBox.visible = sequences.sequence_of(p.inputVolume) is not None
         shown = [(node.GetID(), node.GetName(), node in marked) for node in others]
@@ -54,7 +54,8 @@ class VolumesPart:
         """The sequence to be coloured in place of a volume; None for the volume alone."""
         return sequences.sequence_of(volume) if self.panel.parameters.allTimePoints else None
 
-    def _others(self) -> list:
+    def others(self) -> list:
+        """The other volumes of the scene that can be coloured."""
         volumes = slicer.util.getNodesByClass("vtkMRMLScalarVolumeNode")
         return [
             node

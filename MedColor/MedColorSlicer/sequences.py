@@ -40,7 +40,7 @@ def _browser_of_proxy(volume):
     nodes, kind = volume.GetScene(), "vtkMRMLSequenceBrowserNode"
     for n in range(nodes.GetNumberOfNodesByClass(kind)):
         browser = nodes.GetNthNodeByClass(n, kind)
-        if browser.IsProxyNode(volume):
+        if browser.GetSequenceNode(volume) is not None:
             return browser
     return None
 

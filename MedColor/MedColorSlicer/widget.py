@@ -197,7 +197,7 @@ class MedColorWidget(Runs, ScriptedLoadableModuleWidget, VTKObservationMixin):
             return
         self._outputOfInput()
         p, ui = self._parameterNode, self.ui
-        nodes = (p.inputVolume, p.outputVolume, p.referenceNode, *self.nodes.nodes())
+        nodes = (p.inputVolume, p.outputVolume, p.referenceNode, *self.nodes.nodes(), *self.volumes.others())
         self.watch.follow(scene.behind(*nodes, *self.display.watched()))
         self.inputs.update()
         self.nodes.update()
