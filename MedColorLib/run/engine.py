@@ -207,6 +207,14 @@ class Engine:
         j0, j1, i0, i1 = self.prepared.body.boxes[k]
         return self.prepared.body.painted(k, self.prepared.view[k])[j0:j1, i0:i1]
 
+    def exchange(self, index: int, reference: Reference) -> None:
+        """Take the same photograph in another exposure. Its features stay: MedColor's own see no contrast."""
+        new = ReferenceOnGrid(reference, self.grid)
+        new.turn(self.references[index].lie)
+        self.references[index] = new
+        if index in self.choice.values():
+            self._learn_contrast(index)
+
     def forget_features(self) -> None:
         """Make the references' features anew at the next match, for example after `layers` has been changed."""
         self._features.clear()
