@@ -26,10 +26,19 @@ from .doubts import reference_warnings
 from .prepare import Prepared
 
 if TYPE_CHECKING:
+    from typing import Protocol
+
     from torch import Tensor
 
     from ..matching.analogy import Match
-    from .resume import RunStore
+
+    class MatchStore(Protocol):
+        """Where matches are kept: on disk for the next run (`resume.RunStore`), or in memory (`live.Matches`)."""
+
+        def load(self, slices: Sequence[int], reference: int, device: str) -> Match | None: ...
+
+        def save(self, slices: Sequence[int], reference: int, match: Match) -> None: ...
+
 
 log = logging.getLogger("MedColorLib")
 
@@ -135,7 +144,7 @@ class WithinGroups:
 class Engine:
     """The network, the references' features and the contrast curves: everything that slices share."""
 
-    def __init__(self, prepared: Prepared, run: Run, store: RunStore | None = None) -> None:
+    def __init__(self, prepared: Prepared, run: Run, store: MatchStore | None = None) -> None:
         from ..features import make_extractor
         from ..matching.reconstruction import make_reconstruction
 

@@ -49,13 +49,13 @@ class Matches:
     def __init__(self) -> None:
         self._found: dict[tuple, Match] = {}
 
-    def load(self, ks: Sequence[int], index: int, _device) -> Match | None:
-        """What is known of slices and a reference, or None."""
-        return self._found.get((*ks, index))
+    def load(self, slices: Sequence[int], reference: int, device: str) -> Match | None:
+        """The match of this batch of slices with a reference, or None."""
+        return self._found.get((*slices, reference))
 
-    def save(self, ks: Sequence[int], index: int, found: Match) -> None:
-        """Keep it."""
-        self._found[(*ks, index)] = found
+    def save(self, slices: Sequence[int], reference: int, match: Match) -> None:
+        """Keep a match."""
+        self._found[(*slices, reference)] = match
 
 
 class LiveSlices:
@@ -89,7 +89,7 @@ class LiveSlices:
         self._run.step(0.0, "features")
         self._engine = Engine(self._prepared, self._run, Matches())
         self._plain: Sequence | None = None  # the references as they are, once an exposure was changed
-        self._exposure = self._settings.exposure
+        self._exposure: str | float | None = self._settings.exposure
         self._evidence: dict[int, Evidence] = {}
         self._smooth: np.ndarray | None = None
 
@@ -193,7 +193,7 @@ class LiveSlices:
         witnesses, boxes = self._witnesses(), self._prepared.body.boxes
         relations = self._relations(witnesses)
         guide = spread_guide(read, parameters)
-        change: np.ndarray | None = None
+        change = np.zeros((*read.shape, relations.shape[-1]), np.float32)
         for n in range(len(witnesses)):
             share = _shares(witnesses, n, len(read)) * (boxes[:, 1] > boxes[:, 0])
             lines = np.flatnonzero(share)
@@ -204,10 +204,7 @@ class LiveSlices:
             other = 2 - seen
             moving = (np.arange(read.shape[1]) + 0.5 - low[other][:, None]) / (high[other] - low[other])[:, None]
             place = (fixed, moving) if seen == 1 else (moving, fixed)
-            part = predict_at(relations[n], *place, guide[lines])
-            if change is None:
-                change = np.zeros((*read.shape, part.shape[-1]), np.float32)
-            change[lines] += part * share[lines, None, None]
+            change[lines] += predict_at(relations[n], *place, guide[lines]) * share[lines, None, None]
         return change, float(np.mean([self._of_slice(k).kept for k in witnesses]))
 
     def _relations(self, witnesses: Sequence[int]) -> np.ndarray:
@@ -238,8 +235,8 @@ class LiveSlices:
         size = body.coarse.shape[seen]
         at = min(int((number + 0.5) * size / self._view.shape[seen]), size - 1)
         own = np.take(body.coarse, at, axis=seen).astype(np.uint8)
-        near = np.take(body.coarse, range(max(at - 1, 0), min(at + 2, size)), axis=seen).any(axis=seen).astype(np.uint8)
-        wide = cv2.dilate(near, np.ones((3, 3), np.uint8))
+        beside = np.take(body.coarse, range(max(at - 1, 0), min(at + 2, size)), axis=seen)
+        wide = cv2.dilate(np.asarray(beside.any(axis=seen), np.uint8), np.ones((3, 3), np.uint8))
         cover, rim = (
             cv2.resize(plane.astype(np.float32), values.shape[::-1], interpolation=cv2.INTER_LINEAR) > 0.5
             for plane in (own, wide)

@@ -52,7 +52,8 @@ def test_slices_across_the_stack_are_near_those_of_a_run(ct, live, whole, axis, 
     plane = live.plane(axis, index)
     assert plane.shape == run.shape
     assert difference(plane, run, inside) < 3.5
-    assert difference(plane, run[::-1], inside) > 8, "the measure tells up from down"
+    grey = np.repeat(run.mean(axis=-1, keepdims=True), 3, axis=-1)
+    assert difference(plane, grey, inside) > 8
 
 
 @pytest.mark.parametrize("axes", [(1, 0, 2), (2, 1, 0), (1, 2, 0)])
