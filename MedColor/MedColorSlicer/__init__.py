@@ -21,6 +21,6 @@ dependencies  packages to install, by Slicer's own mechanisms, asked first
 samples       Sample Data
 widget        the panel: life cycle, in line with the scene
 panel_run     Apply and Cancel, and where errors become messages
-panel_inputs, panel_smoother, panel_plan, panel_preview, panel_display   parts of the panel
+panel_inputs, panel_nodes, panel_smoother, panel_plan, panel_preview, panel_live, panel_volumes, panel_display   its parts
 selftest      the test behind Slicer's "Reload and Test"; selftest_samples: what it needs
 """

@@ -39,6 +39,7 @@ class Runs:
             self.ui.applyButton.enabled = False
             self.say(_("Cancelling..."))
             return
+        self.live.stop()
         self.runJob(self._apply)
 
     def _apply(self, job):
@@ -185,7 +186,7 @@ class Runs:
         ui = self.ui
         for part in (ui.inputsCollapsibleButton, ui.advancedCollapsibleButton, ui.outputCollapsibleButton):
             part.enabled = not busy
-        ui.previewButton.enabled = not busy
+        ui.previewButton.enabled = ui.followCheckBox.enabled = not busy
         ui.progressBar.visible = busy
         ui.progressBar.value = 0
         ui.progressBar.format = "%p%"

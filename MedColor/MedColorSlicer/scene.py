@@ -296,6 +296,14 @@ def _place_beside(node, input_node) -> None:
         hierarchy.CreateItem(parent, node)
 
 
+def fill_part(node, voxels, input_node, offset_ijk) -> None:
+    """Fill a colour volume node with a part of the input in colour (k, j, i, 3), not to be saved with the scene."""
+    _fill(node, voxels, input_node)
+    place_part(node, input_node, offset_ijk)
+    for own in (node, node.GetVolumeDisplayNode()):
+        own.SetSaveWithScene(False)
+
+
 def place_part(node, input_node, offset_ijk) -> None:
     """Place a node that holds a part of the input's voxels, the first of them at `offset_ijk`."""
     matrix = vtk.vtkMatrix4x4()

@@ -14,6 +14,7 @@ from . import rendering_guard, scene
 from .logic import MedColorLogic
 from .panel_display import DisplayPart
 from .panel_inputs import InputsPart
+from .panel_live import LivePart
 from .panel_nodes import NodesPart
 from .panel_plan import PlanPart
 from .panel_preview import PreviewPart
@@ -53,6 +54,7 @@ class MedColorWidget(Runs, ScriptedLoadableModuleWidget, VTKObservationMixin):
         self.display = DisplayPart(self)
         self.preview = PreviewPart(self)
         self.plan = PlanPart(self)
+        self.live = LivePart(self)
         self.ui.applyButton.clicked.connect(self.onApply)
         self.watch = SceneWatch(slicer.mrmlScene, self)
         slicer.app.connect("lastWindowClosed()", self._onLastWindowClosed)
@@ -65,6 +67,7 @@ class MedColorWidget(Runs, ScriptedLoadableModuleWidget, VTKObservationMixin):
         self._onLastWindowClosed()
         slicer.app.disconnect("lastWindowClosed()", self._onLastWindowClosed)
         self.plan.stop()
+        self.live.stop()
         self._setParameterNode(None)
         self.watch.stop()
         self.removeObservers()
@@ -78,6 +81,7 @@ class MedColorWidget(Runs, ScriptedLoadableModuleWidget, VTKObservationMixin):
         self._useParameterNode()
 
     def exit(self):
+        self.live.stop()
         self.preview.remove()
         self._setParameterNode(None)
 
@@ -164,6 +168,7 @@ class MedColorWidget(Runs, ScriptedLoadableModuleWidget, VTKObservationMixin):
         """The scene is about to be closed, read or restored; the parameter node, too, may be exchanged."""
         if self.job:
             self.job.cancel(_("The scene was closed or another one opened; nothing was coloured."))
+        self.live.forget()
         self.preview.forget()
         self.display.forget()
         self._setParameterNode(None)
@@ -179,6 +184,7 @@ class MedColorWidget(Runs, ScriptedLoadableModuleWidget, VTKObservationMixin):
         """A node is gone."""
         self.stopFor(node)
         self.preview.onNodeRemoved(node)
+        self.live.onNodeRemoved(node)
 
     def onSceneChanged(self, volumesAdded: bool):
         """Nodes came, went or changed."""
@@ -213,7 +219,9 @@ class MedColorWidget(Runs, ScriptedLoadableModuleWidget, VTKObservationMixin):
             ui.applyButton.enabled = ui.previewButton.enabled = not missing
             ui.applyButton.toolTip = missing or _("Colour the volume.")
             ui.previewButton.toolTip = missing or _("Colour the slice shown in the red view, in seconds.")
+            ui.followCheckBox.enabled = self.live.on or not missing
             self.plan.changed()
+            self.live.changed()
 
     def whatIsMissing(self) -> str:
         """Why Apply cannot be pressed, as a sentence; empty if it can."""
@@ -237,5 +245,9 @@ class MedColorWidget(Runs, ScriptedLoadableModuleWidget, VTKObservationMixin):
     def say(self, text: str):
         """A line below the buttons; what the state of the scene adds to it follows by itself."""
         self._message = text
-        note = self.display.note() if self._parameterNode else ""
-        self.ui.statusLabel.text = " ".join(part for part in (text, note) if part)
+        self.sayAgain()
+
+    def sayAgain(self):
+        """What the state of the scene adds may have changed."""
+        notes = (self.display.note(), self.live.note()) if self._parameterNode else ()
+        self.ui.statusLabel.text = " ".join(part for part in (self._message, *notes) if part)

@@ -80,7 +80,8 @@ class LiveSlices:
         Raises:
             As `colorize`.
         """
-        self._run = Run(None, cancelled)
+        self.cancelled = cancelled  # may be exchanged between two slices
+        self._run = Run(None, lambda: bool(self.cancelled and self.cancelled()))
         self._sources = references
         self._settings = _quick(settings or Settings())
         self._run.step(0.0, "preparing")
