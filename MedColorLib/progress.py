@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections import defaultdict
 from collections.abc import Callable
@@ -10,6 +11,16 @@ from contextlib import contextmanager
 from .errors import Cancelled
 
 Progress = Callable[[float, str], None]
+
+
+_here = threading.local()  # .run: the run that this thread works for
+
+
+def check() -> None:
+    """For loops that take long: raises Cancelled where the run that this thread works for was cancelled."""
+    run = getattr(_here, "run", None)
+    if run is not None:
+        run.check()
 
 
 class Run:
@@ -21,15 +32,22 @@ class Run:
         self._progress, self._cancelled = progress, cancelled
 
     def step(self, fraction: float, text: str) -> None:
-        if self._cancelled is not None and self._cancelled():
-            raise Cancelled
+        self.check()
         if self._progress is not None:
             self._progress(fraction, text)
 
+    def check(self) -> None:
+        """Raises Cancelled where it was."""
+        if self._cancelled is not None and self._cancelled():
+            raise Cancelled
+
     @contextmanager
     def timed(self, stage: str):
+        """A stage of the run; what this thread does inside it may ask `check`."""
+        before, _here.run = getattr(_here, "run", None), self
         start = time.perf_counter()
         try:
             yield
         finally:
+            _here.run = before
             self.seconds[stage] += time.perf_counter() - start

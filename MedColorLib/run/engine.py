@@ -26,19 +26,10 @@ from .doubts import reference_warnings
 from .prepare import Prepared
 
 if TYPE_CHECKING:
-    from typing import Protocol
-
     from torch import Tensor
 
     from ..matching.analogy import Match
-
-    class MatchStore(Protocol):
-        """Where matches are kept: on disk for the next run (`resume.RunStore`), or in memory (`live.Matches`)."""
-
-        def load(self, slices: Sequence[int], reference: int, device: str) -> Match | None: ...
-
-        def save(self, slices: Sequence[int], reference: int, match: Match) -> None: ...
-
+    from .resume import RunStore
 
 log = logging.getLogger("MedColorLib")
 
@@ -144,7 +135,7 @@ class WithinGroups:
 class Engine:
     """The network, the references' features and the contrast curves: everything that slices share."""
 
-    def __init__(self, prepared: Prepared, run: Run, store: MatchStore | None = None) -> None:
+    def __init__(self, prepared: Prepared, run: Run, store: RunStore | None = None) -> None:
         from ..features import make_extractor
         from ..matching.reconstruction import make_reconstruction
 
@@ -215,14 +206,6 @@ class Engine:
         """(rows, cols) bool: where slice k is coloured, cut to the body's box."""
         j0, j1, i0, i1 = self.prepared.body.boxes[k]
         return self.prepared.body.painted(k, self.prepared.view[k])[j0:j1, i0:i1]
-
-    def exchange(self, index: int, reference: Reference) -> None:
-        """Take the same photograph in another exposure. Its features stay: MedColor's own see no contrast."""
-        new = ReferenceOnGrid(reference, self.grid)
-        new.turn(self.references[index].lie)
-        self.references[index] = new
-        if index in self.choice.values():
-            self._learn_contrast(index)
 
     def forget_features(self) -> None:
         """Make the references' features anew at the next match, for example after `layers` has been changed."""

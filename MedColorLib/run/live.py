@@ -10,18 +10,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, cast
 
 import numpy as np
 
 from ..parameters import Settings
 from ..progress import Run
 from ..volume import Volume
-from .engine import Engine
+from .engine import Engine, ReferenceOnGrid
 from .prepare import prepare
 
 if TYPE_CHECKING:
     from ..matching.analogy import Match
+    from .resume import RunStore
 
 STEP_MM = 4.0  # between the transverse slices that slices across the stack are coloured from
 MOST_SLICES = 96  # of those
@@ -85,10 +86,11 @@ class LiveSlices:
         self._sources = references
         self._settings = _quick(settings or Settings())
         self._run.step(0.0, "preparing")
-        self._prepared = prepare(volume, references, self._settings)
+        with self._run.timed("prepare"):
+            self._prepared = prepare(volume, references, self._settings)
         self._view = self._prepared.order.view(volume.array)
         self._run.step(0.0, "features")
-        self._engine = Engine(self._prepared, self._run, Matches())
+        self._engine = Engine(self._prepared, self._run, cast("RunStore", Matches()))
         self._plain: Sequence | None = None  # the references as they are, once an exposure was changed
         self._exposure: str | float | None = self._settings.exposure
         self._evidence: dict[int, Evidence] = {}
@@ -130,8 +132,17 @@ class LiveSlices:
         self._exposure = None  # should it be cancelled half way
         for n, reference in enumerate(expose(self._plain, exposure)):
             self._run.step(0.0, "exposure")
-            self._engine.exchange(n, reference)
+            self._exchange(n, reference)
         self._exposure = exposure
+
+    def _exchange(self, n: int, reference) -> None:
+        """The same photograph in another exposure: it lies as before, and its features stay."""
+        engine = self._engine
+        new = ReferenceOnGrid(reference, engine.grid)
+        new.turn(engine.references[n].lie)
+        engine.references[n] = new
+        if n in engine.choice.values():
+            engine._learn_contrast(n)
 
     def _parameters(self, look: Look):
         from ..coloring.transfer import TransferParameters
