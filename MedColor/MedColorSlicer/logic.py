@@ -97,12 +97,16 @@ class MedColorLogic(ScriptedLoadableModuleLogic):
         work = given.take(inputVolume, references, settings, body=body, referenceMasks=referenceMasks, **nodes)
         voxels = scene.voxel_state(inputVolume)
 
-        def compute():
-            return work.colorize(progress, cancelled)
+        spacing = inputVolume.GetSpacing()
 
-        result = compute() if run is None else run(compute)
+        def compute():
+            colored = work.colorize(progress, cancelled)
+            return colored, rendering.axis_of(colored.rgb, spacing)
+
+        result, axis = compute() if run is None else run(compute)
         self._check_still_there(inputVolume, outputVolume, voxels)
         node = scene.publish(result, inputVolume, outputVolume, work.settings.to_dict())
+        rendering.know_axis(node, axis)
         rendering.refresh(node)
         _LOG.info("coloured in %.1f s", time.monotonic() - start)
         return node

@@ -253,3 +253,22 @@ def test_self_test_of_the_3d_view_passes_here_too(host, view, rendering, monkeyp
     view.renderer.GetActiveCamera().SetParallelProjection(False)
     view.renderer.GetActiveCamera().SetViewAngle(30)
     MedColorTest("test_known_colors_in_the_3d_view").debug()
+
+
+@pytest.mark.parametrize("kind", ["any colours", "two colours", "black", "one colour"])
+def test_a_worker_measures_the_same_axis_as_slicer(scene, rendering, kind):
+    """In NumPy, luminance truncated as VTK's filter does; known afterwards until the voxels change."""
+    rgb = {
+        "any colours": np.random.default_rng(0).integers(0, 256, (40, 50, 60, 3), dtype=np.uint8),
+        "two colours": two_colors(24, 8),
+        "black": np.zeros((4, 5, 6, 3), np.uint8),
+        "one colour": np.full((4, 5, 6, 3), (1, 0, 2), np.uint8),
+    }[kind]
+    node = color_node(rgb)
+    node.SetSpacing(0.5, 1.5, 3.0)
+    measured = rendering._measured(node)
+    assert rendering.axis_of(rgb, node.GetSpacing()) == measured
+    rendering.know_axis(node, {"range": [0.0, 1.0], "unit_mm": 7.0})
+    assert rendering.measured_axis(node)["unit_mm"] == 7.0
+    slicer.util.updateVolumeFromArray(node, rgb)
+    assert rendering.measured_axis(node) == measured
