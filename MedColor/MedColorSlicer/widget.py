@@ -36,6 +36,7 @@ class MedColorWidget(Runs, ScriptedLoadableModuleWidget, VTKObservationMixin):
         self._parameterNode = None
         self._guiTag, self._guiObservers, self._updateTag = None, [], None
         self._closed = False
+        self._lost = False  # the parameter node was removed under the open panel
 
     # --- life cycle -------------------------------------------------------------------------------------------------
 
@@ -120,6 +121,7 @@ class MedColorWidget(Runs, ScriptedLoadableModuleWidget, VTKObservationMixin):
             p.outputVolume = scene.result_of(p.inputVolume)
 
     def _setParameterNode(self, parameterNode):
+        self._lost = False
         if self._parameterNode:
             self._disconnectControls()
             # not by the mixin: it would keep the wrapper, and every one of its own observers, until the panel is closed
@@ -185,9 +187,14 @@ class MedColorWidget(Runs, ScriptedLoadableModuleWidget, VTKObservationMixin):
         self.stopFor(node)
         self.preview.onNodeRemoved(node)
         self.live.onNodeRemoved(node)
+        if self._parameterNode and node is self._parameterNode.parameterNode:
+            self._setParameterNode(None)
+            self._lost = True
 
     def onSceneChanged(self, volumesAdded: bool):
         """Nodes came, went or changed."""
+        if self._lost and not self._closed:  # somebody removed the choices themselves: new ones
+            self._useParameterNode()
         if self._closed or not self._parameterNode:
             return
         if volumesAdded and self.job is None:
