@@ -86,13 +86,22 @@ def _voxel_problem(node) -> str:
     if image is None or image.GetPointData().GetScalars() is None or not all(image.GetDimensions()):
         return _("{name} has no voxels; load its image data or select another volume.").format(name=node.GetName())
     count = image.GetNumberOfScalarComponents()
-    return (
-        ""
-        if count == 1
-        else _("{name} has {count} values per voxel; select a scalar (grey) volume.").format(
+    if count != 1:
+        return _("{name} has {count} values per voxel; select a scalar (grey) volume.").format(
             name=node.GetName(), count=count
         )
-    )
+    if not _has_extent(ijk_to_world(node)):
+        return _(
+            "{name} has no extent along one of its axes; correct its spacing (module Volumes) or its transform, or load it again."
+        ).format(name=node.GetName())
+    return ""
+
+
+def _has_extent(matrix) -> bool:
+    """Whether an IJK-to-RAS matrix (4, 4) can be inverted."""
+    import numpy as np
+
+    return bool(np.isfinite(matrix).all() and abs(np.linalg.det(matrix[:3, :3])) > 1e-30)
 
 
 def volume_from_node(node):
@@ -130,7 +139,7 @@ def region_from_roi(roi_node, input_node):
     """((k0, k1), (j0, j1), (i0, i1)), half-open voxel ranges of the box around a markups ROI; None without one.
 
     Raises:
-        MedColorLib.errors.InputError: the region lies outside the volume.
+        MedColorLib.errors.InputError: the region has no size, or lies outside the volume.
     """
     if roi_node is None:
         return None
@@ -140,6 +149,8 @@ def region_from_roi(roi_node, input_node):
 
     bounds = [0.0] * 6
     roi_node.GetRASBounds(bounds)
+    if any(bounds[2 * axis + 1] <= bounds[2 * axis] for axis in range(3)):
+        raise InputError(_("{name} has no size; drag its handles or select none.").format(name=roi_node.GetName()))
     corners = np.array([[bounds[a], bounds[2 + b], bounds[4 + c], 1.0] for a in (0, 1) for b in (0, 1) for c in (0, 1)])
     ijk = (np.linalg.inv(ijk_to_world(input_node)) @ corners.T)[:3]
     size = np.array(input_node.GetImageData().GetDimensions())
