@@ -122,7 +122,11 @@ class PlanPart:
         short = _("{slices} slices, about {time} with {features} features.").format(
             slices=self._slices, time=about, features=plan.features
         )
-        about_error = expected if error else _("Colour error: not measured with these settings")
+        about_error = _("Colour error: not measured with these settings")
+        if error:
+            about_error = _("Colour error {low:.1f} to {high:.1f} CIEDE2000 on test pairs.").format(
+                low=error.low, high=error.high
+            )
         self._tell(f"{short}\n{about_error}", f"{text}\n{expected}")
 
     def _tell(self, short: str, details: str = "") -> None:

@@ -240,6 +240,7 @@ def test_plan_and_times_are_readable_before_apply(ready, monkeypatch):
     measured = expected_error(MedColorLib.Settings(preset=ready.parameters.preset), "embedded")
     assert len(ready.ui.planLabel.text.splitlines()) == 2
     assert ready.ui.planLabel.text.startswith("40 slices, about")
+    assert max(map(len, ready.ui.planLabel.text.splitlines())) < 60, "two lines on the screen, too"
     assert not shown_widget(ready.ui.planText)
     ready.ui.planDetailsButton.click()
     assert shown_widget(ready.ui.planText)
