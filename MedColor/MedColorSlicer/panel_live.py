@@ -53,6 +53,15 @@ class LivePart:
         """Whether the views are followed."""
         return bool(self.ui.followCheckBox.checked)
 
+    @property
+    def idle(self) -> bool:
+        """Whether all that was asked for is shown."""
+        return self._worker is None and not self._pending and not self._stale
+
+    def picture(self, view: str):
+        """The picture of a view; None without."""
+        return self._nodes.get(view)
+
     def note(self) -> str:
         """What has to be said while it is so."""
         return self._note if self.on else ""

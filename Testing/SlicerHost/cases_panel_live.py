@@ -74,7 +74,7 @@ def sessions(monkeypatch):
 def settled(panel):
     """What is asked for is shown."""
     ui_settled()
-    wait_for(lambda: panel.live._worker is None and not panel.live._pending and not panel.live._stale)
+    wait_for(lambda: panel.live.idle)
     ui_settled()
 
 
@@ -211,3 +211,10 @@ def test_missing_packages_are_said(ready, views, monkeypatch):
     ready.ui.followCheckBox.click()
     assert not ready.ui.followCheckBox.checked
     assert "Python packages are missing" in ready.ui.statusLabel.text
+
+
+def test_self_test_of_the_live_preview_passes_here_too(ready, views):
+    """Slicer's own views in place of these."""
+    import MedColor
+
+    MedColor.MedColorTest("test_panel_live_preview_follows_the_slices").debug()
