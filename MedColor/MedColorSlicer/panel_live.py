@@ -252,9 +252,11 @@ class LivePart:
             return
         grey, node = p.inputVolume, self._nodes.get(view)
         if node is None:
-            node = slicer.mrmlScene.AddNewNodeByClass("vtkMRMLVectorVolumeNode", f"{grey.GetName()} live {view}")
-            node.SetHideFromEditors(True)
-            self._nodes[view] = node
+            node = slicer.mrmlScene.CreateNodeByClass("vtkMRMLVectorVolumeNode")
+            node.UnRegister(None)
+            node.SetName(f"{grey.GetName()} live {view}")
+            node.SetHideFromEditors(True)  # before it is added: it comes into no list
+            node = self._nodes[view] = slicer.mrmlScene.AddNode(node)
         offset = [0, 0, 0]
         offset[2 - axis] = index - 1
         scene.fill_part(node, np.stack([rgb] * 3, axis=axis), grey, offset)
