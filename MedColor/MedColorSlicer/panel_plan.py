@@ -89,7 +89,8 @@ class PlanPart:
     def _question(self, p) -> tuple:
         image = p.inputVolume.GetImageData()
         values = [getattr(p, name) for name in _PLAN_FIELDS]
-        return (p.inputVolume.GetID(), image.GetMTime(), *self.panel.nodes.state(), *values)
+        count = self.panel.volumes.count()
+        return (p.inputVolume.GetID(), image.GetMTime(), count, *self.panel.nodes.state(), *values)
 
     def _look(self) -> None:
         if self._worker is None:
@@ -116,11 +117,13 @@ class PlanPart:
         # columns of spaces are for fixed-width type; the panel has none
         text = re.sub(r"(?m)^  (\w[\w ]*?) {2,}", r"\1: ", plan.text())
         expected = _("Colour error to expect: {error}").format(error=error.text() if error else NOT_MEASURED)
-        self._slices = len(plan.slices)
+        count = self.panel.volumes.count() if self.panel.parameters else 1
+        self._slices = count * len(plan.slices)
         self.showTimes()
         about = running.readable_seconds(seconds_per_slice(self._settings.preset) * max(self._slices, 1))
-        short = _("{slices} slices, about {time} with {features} features.").format(
-            slices=self._slices, time=about, features=plan.features
+        of = _(" of {count} volumes like this one").format(count=count) if count > 1 else ""
+        short = _("{slices} slices{of}, about {time} with {features} features.").format(
+            slices=self._slices, of=of, time=about, features=plan.features
         )
         about_error = _("Colour error: not measured with these settings")
         if error:

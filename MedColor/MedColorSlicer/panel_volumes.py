@@ -50,6 +50,11 @@ class VolumesPart:
         """All that Apply colours, the chosen volume first."""
         return [self.panel.parameters.inputVolume, *self.marked()]
 
+    def count(self) -> int:
+        """How many volumes, or time points of them, Apply colours."""
+        sequences_of_them = [self.sequence_of(volume) for volume in self.chosen()]
+        return sum(sequence.GetNumberOfDataNodes() if sequence else 1 for sequence in sequences_of_them)
+
     def sequence_of(self, volume):
         """The sequence to be coloured in place of a volume; None for the volume alone."""
         return sequences.sequence_of(volume) if self.panel.parameters.allTimePoints else None

@@ -292,6 +292,35 @@ def test_all_time_points_from_the_panel(beat, library):
     assert panel.parameters.outputVolume is not player, "one time point does not spoil the player of all"
 
 
+def test_the_body_does_not_flicker_while_colours_are_played(beat, library):
+    """The luminance range differs between time points, and with it VTK's alpha axis."""
+    from MedColorSlicer import rendering
+
+    panel, _sequence, browser = beat
+    panel.ui.allTimePointsCheckBox.click()
+    panel.ui.applyButton.click()
+    player = panel.parameters.outputVolume
+    display = rendering.display_node_of(player)
+    colored = browser.GetSequenceNode(player)
+    brighter = slicer.vtkMRMLVectorVolumeNode.SafeDownCast(colored.GetNthDataNode(1))
+    slicer.util.updateVolumeFromArray(brighter, np.minimum(slicer.util.arrayFromVolume(brighter) + 100, 255))
+    axes = []
+    for n in (0, 1, 0):
+        browser.SetSelectedItemNumber(n)
+        slicer.modules.sequences.logic().UpdateProxyNodesFromSequences(browser)
+        assert rendering._stored_axis(display) == rendering._measured(player)
+        axes.append(rendering._stored_axis(display)["range"])
+    assert axes[0] == axes[2] != axes[1]
+
+
+def test_plan_counts_volumes_and_time_points(beat, library):
+    panel, _sequence, _browser = beat
+    panel.ui.allTimePointsCheckBox.click()
+    assert panel.volumes.count() == 3
+    mark(panel, "head")
+    assert panel.volumes.count() == 4
+
+
 def test_one_time_point_alone(beat, library):
     panel, _sequence, _browser = beat
     panel.ui.applyButton.click()
