@@ -11,6 +11,7 @@ holds the files of one stage or the choice of alternatives:
 | the map | `pipeline` | volume, references, settings -> `ColorVolume`: one call per stage |
 | run | `run/prepare`, `run/engine`, `run/paint` | plan, and what is left out; batches of slices matched, then painted |
 | interruption | `run/resume` | matches of an unfinished run, kept on disk |
+| looking about | `run/live` | volume, references, a slice -> its colours at once |
 | forecast | `run/estimate`, `run/expected_error` | time and error to expect |
 | colour | `coloring/transfer`, `coloring/coherence` | T', the scan's luminance, evidence of neighbours -> sRGB slice |
 | which way up | `matching/orientation`, `matching/coarse` | how a photograph lies |

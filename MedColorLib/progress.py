@@ -13,6 +13,16 @@ from .errors import Cancelled
 Progress = Callable[[float, str], None]
 
 
+_here = threading.local()  # .run: the run that this thread works for
+
+
+def check() -> None:
+    """For loops that take long: raises Cancelled where the run that this thread works for was cancelled."""
+    run = getattr(_here, "run", None)
+    if run is not None:
+        run.check()
+
+
 class Run:
     """Progress, cancellation and seconds per stage of one run."""
 
@@ -22,17 +32,24 @@ class Run:
         self._progress, self._cancelled, self._lock = progress, cancelled, threading.Lock()
 
     def step(self, fraction: float, text: str) -> None:
-        if self._cancelled is not None and self._cancelled():
-            raise Cancelled
+        self.check()
         if self._progress is not None:
             self._progress(fraction, text)
 
+    def check(self) -> None:
+        """Raises Cancelled where it was."""
+        if self._cancelled is not None and self._cancelled():
+            raise Cancelled
+
     @contextmanager
     def timed(self, stage: str):
+        """A stage of the run; what this thread does inside it may ask `check`."""
+        before, _here.run = getattr(_here, "run", None), self
         start = time.perf_counter()
         try:
             yield
         finally:
+            _here.run = before
             with self._lock:
                 self.seconds[stage] += time.perf_counter() - start
 

@@ -15,6 +15,7 @@ import importlib.util
 import os
 import re
 import subprocess
+import sys
 import tempfile
 
 import slicer
@@ -63,12 +64,17 @@ def requirements() -> list[str]:
 
 def missing() -> list[str]:
     """Requirements whose module cannot be imported; finds modules without importing them."""
-    return [line for line in requirements() if importlib.util.find_spec(_module_name(line)) is None]
+    return [line for line in requirements() if not _is_there(_module_name(line))]
 
 
 def torch_missing() -> bool:
     """Whether torch is not there, found without importing it."""
-    return importlib.util.find_spec("torch") is None
+    return not _is_there("torch")
+
+
+def _is_there(module: str) -> bool:
+    """Whether a module can be imported; one that a worker is just importing (OpenCV drops its spec meanwhile) is there."""
+    return sys.modules.get(module) is not None or importlib.util.find_spec(module) is not None
 
 
 def ensure() -> None:

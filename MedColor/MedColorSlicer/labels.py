@@ -10,6 +10,8 @@ from slicer.i18n import tr as _
 
 from . import scene, tissues
 
+BY_TISSUE = "tissue"
+
 
 def labels_problem(node) -> str:
     """Why a node cannot serve as tissue labels, as a sentence that says what to do; empty if it can, or for None."""
@@ -40,8 +42,8 @@ def guard_from(node, input_node, reference_labels=None, groups=None):
 
     Args:
         reference_labels: for each reference a PNG, an (H, W) integer array, a label map node (its middle slice) or None.
-        groups: label -> group. Labels of a segmentation are 1, 2, ... in the order of its segments. Without it, more
-            than 16 segments are grouped by their terminology or name (`tissues`).
+        groups: label -> group. Labels of a segmentation are 1, 2, ... in the order of its segments. BY_TISSUE: by their
+            terminology or name (`tissues`); without groups, too, where there are more than 15 segments.
 
     Raises:
         MedColorLib.errors.MedColorError: the node cannot be used, or pictures and groups are given without it.
@@ -57,14 +59,43 @@ def guard_from(node, input_node, reference_labels=None, groups=None):
         raise InputError(problem)
     import MedColorLib
 
-    if groups is None and grouped_by_name(node):
+    if isinstance(groups, str):
+        if groups != BY_TISSUE or not node.IsA("vtkMRMLSegmentationNode"):
+            raise SettingsError(
+                _('Groups are {{label: group}}, or "{word}" for a segmentation, whose segments have names.').format(
+                    word=BY_TISSUE
+                )
+            )
         groups = _numbered(tissues.groups_of(node))
-    volume = _exported(node, input_node) if node.IsA("vtkMRMLSegmentationNode") else _volume(node, node.GetName())
+    elif groups is None and grouped_by_name(node):
+        groups = _numbered(tissues.groups_of(node))
+    volume = volume_of(node, input_node)
     pictures = None
     if reference_labels is not None:
         given = reference_labels if isinstance(reference_labels, (list, tuple)) else [reference_labels]
         pictures = [_middle(labels) if hasattr(labels, "IsA") else labels for labels in given]
     return MedColorLib.Guard(volume, pictures, groups)
+
+
+def volume_of(node, input_node):
+    """MedColorLib.Volume of a label map, or of a segmentation on the grid of another volume: a copy."""
+    return _exported(node, input_node) if node.IsA("vtkMRMLSegmentationNode") else _volume(node, node.GetName())
+
+
+def body_from(body, input_node):
+    """What `Settings.body` takes of "auto", "all", a path, an array, or a label map or segmentation node.
+
+    Raises:
+        MedColorLib.errors.InputError: the node cannot be used.
+    """
+    from MedColorLib.errors import InputError
+
+    if not hasattr(body, "IsA"):
+        return body
+    problem = labels_problem(body)
+    if problem:
+        raise InputError(problem)
+    return volume_of(body, input_node)
 
 
 def grouped_by_name(node) -> bool:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import logging
 import time
 
@@ -10,9 +9,7 @@ import slicer
 from slicer.i18n import tr as _
 from slicer.ScriptedLoadableModule import ScriptedLoadableModuleLogic
 
-from . import comparison, cut, dependencies, light, rendering, rendering_show, scene, sequences
-from . import labels as labels_of
-from . import references as references_of
+from . import comparison, cut, dependencies, given, light, rendering, rendering_show, scene, sequences
 from .dependencies import needs_packages
 from .parameters import MedColorParameterNode
 
@@ -60,6 +57,8 @@ class MedColorLogic(ScriptedLoadableModuleLogic):
         labels=None,
         referenceLabels=None,
         labelGroups=None,
+        body=None,
+        referenceMasks=None,
         **options,
     ):
         """Colour a volume.
@@ -72,14 +71,18 @@ class MedColorLogic(ScriptedLoadableModuleLogic):
                 confidence=True the result's node reference "MedColorConfidence" is a volume of per cents.
             progress: called with (fraction 0..1, text).
             cancelled: called often; True stops and leaves the scene as it was.
-            roi: markups ROI node; only its box is coloured, by the slices that it meets.
+            roi: markups ROI node; only the voxels in its box are coloured.
             run: called with the computation, a function without arguments that touches no node, and returns what it
                 returns; the panel passes one that uses a worker thread.
             labels: label map or segmentation node; matching and colour do not cross from one label into another.
             referenceLabels: the same labels drawn on the references: for each, in order, a PNG, an (H, W) array of whole
                 numbers, a label map node, or None. Without them only colour is kept apart.
             labelGroups: {label: group}; labels of one group count as one. Those of a segmentation are 1, 2, ... in the
-                order of its segments. At most 16 groups; without groups more segments are grouped by what they are called.
+                order of its segments. "tissue": by what segments are called. At most 16 groups; without groups more
+                segments are grouped by what they are called.
+            body: what is coloured: "auto", "all", or a label map or segmentation node, not 0 where the body is.
+            referenceMasks: what is tissue in the references, for each, in order, or None where it is found: for a path
+                that of a picture, for a node a label map, segmentation or picture node of the same size.
 
         Returns:
             vtkMRMLVectorVolumeNode with the colours, under the input's transform and subject-hierarchy folder.
@@ -87,35 +90,38 @@ class MedColorLogic(ScriptedLoadableModuleLogic):
         Raises:
             MedColorLib.errors.MedColorError, MedColorLib.errors.Cancelled
         """
-        import MedColorLib
-
         start = time.monotonic()
-        settings = self._settings(settings, options)
+        settings = given.settings_of(settings, options)
         self._check_output(outputVolume, inputVolume)
-        volume, voxels = scene.volume_from_node(inputVolume), scene.voxel_state(inputVolume)
-        region = scene.region_from_roi(roi, inputVolume)
-        settings = scene.settings_for_region(settings, region, inputVolume)
-        pictures = references_of.references_from(references, inputVolume)
-        guard = labels_of.guard_from(labels, inputVolume, referenceLabels, labelGroups)
+        nodes = {"roi": roi, "labels": labels, "referenceLabels": referenceLabels, "labelGroups": labelGroups}
+        work = given.take(inputVolume, references, settings, body=body, referenceMasks=referenceMasks, **nodes)
+        voxels = scene.voxel_state(inputVolume)
+
+        spacing = inputVolume.GetSpacing()
 
         def compute():
-            colored = MedColorLib.colorize(volume, pictures, settings, progress, cancelled, guard=guard)
-            return scene.only_inside(colored, region)
+            colored = work.colorize(progress, cancelled)
+            return colored, rendering.axis_of(colored.rgb, spacing)
 
-        result = compute() if run is None else run(compute)
+        result, axis = compute() if run is None else run(compute)
         self._check_still_there(inputVolume, outputVolume, voxels)
-        node = scene.publish(result, inputVolume, outputVolume, settings.to_dict())
+        node = scene.publish(result, inputVolume, outputVolume, work.settings.to_dict())
+        rendering.know_axis(node, axis)
         rendering.refresh(node)
         _LOG.info("coloured in %.1f s", time.monotonic() - start)
         return node
 
     @needs_packages
-    def processSequence(self, sequence, references, settings=None, progress=None, cancelled=None, run=None, **options):
+    def processSequence(
+        self, sequence, references, settings=None, progress=None, cancelled=None, run=None, nodes=None, **options
+    ):
         """Colour every time point of a sequence.
 
         Args:
             sequence: vtkMRMLSequenceNode of scalar volumes.
             references, settings, progress, cancelled, run, options: as for `process`.
+            nodes: {name: value} of further arguments of `process`: roi, labels, labelGroups, body, referenceLabels,
+                referenceMasks; the same for every time point.
 
         Returns:
             vtkMRMLSequenceNode of vector volumes, in step with the sequence in the browsers that play it. All time points
@@ -124,20 +130,14 @@ class MedColorLogic(ScriptedLoadableModuleLogic):
         Raises:
             MedColorLib.errors.MedColorError, MedColorLib.errors.Cancelled
         """
-        import MedColorLib
         from MedColorLib.errors import InputError
 
-        settings = self._settings(settings, options)
-        volumes = [scene.volume_from_node(node) for node in sequences.volumes_of(sequence)]
-        pictures = references_of.references_from(references)
+        settings = given.settings_of(settings, options)
+        volumes = sequences.volumes_of(sequence)
+        work = [given.take(node, references, settings, **(nodes or {})) for node in volumes]
 
         def compute():
-            return [
-                MedColorLib.colorize(
-                    volume, pictures, settings, sequences.share_of(progress, n, len(volumes)), cancelled
-                )
-                for n, volume in enumerate(volumes)
-            ]
+            return [one.colorize(sequences.share_of(progress, n, len(work)), cancelled) for n, one in enumerate(work)]
 
         results = compute() if run is None else run(compute)
         if sequence.GetScene() is None or sequence.GetNumberOfDataNodes() != len(volumes):
@@ -145,25 +145,15 @@ class MedColorLogic(ScriptedLoadableModuleLogic):
         return sequences.publish(sequence, results)
 
     @needs_packages
-    def preview(  # everything after the third has a default
-        self,
-        inputVolume,
-        references,
-        sliceIndex,
-        settings=None,
-        cancelled=None,
-        run=None,
-        previous=None,
-        labels=None,
-        referenceLabels=None,
-        labelGroups=None,
+    def preview(
+        self, inputVolume, references, sliceIndex, settings=None, cancelled=None, run=None, previous=None, **nodes
     ):
         """Colour one slice in seconds.
 
         Args:
             sliceIndex: number of the transverse slice, counted from the feet up (`scene.slice_index_at`).
             previous: node of an earlier preview, filled again.
-            labels, referenceLabels, labelGroups: as for `process`.
+            nodes: roi, labels, referenceLabels, labelGroups, body, referenceMasks as for `process`.
 
         Returns:
             A vector volume node of one slice (three voxels thick), at its place in space; not saved with the scene.
@@ -171,13 +161,12 @@ class MedColorLogic(ScriptedLoadableModuleLogic):
         import MedColorLib
         from MedColorLib.volume import ColorVolume
 
-        settings = self._draft(settings or MedColorLib.Settings(), (sliceIndex, sliceIndex + 1))
-        volume, voxels = scene.volume_from_node(inputVolume), scene.voxel_state(inputVolume)
-        pictures = references_of.references_from(references, inputVolume)
-        guard = labels_of.guard_from(labels, inputVolume, referenceLabels, labelGroups)
+        settings = given.draft(settings or MedColorLib.Settings(), (sliceIndex, sliceIndex + 1))
+        work = given.take(inputVolume, references, settings, **nodes)
+        voxels = scene.voxel_state(inputVolume)
 
         def compute():
-            return MedColorLib.colorize(volume, pictures, settings, None, cancelled, guard=guard)
+            return work.colorize(None, cancelled)
 
         result = compute() if run is None else run(compute)
         self._check_still_there(inputVolume, previous, voxels)
@@ -193,29 +182,23 @@ class MedColorLogic(ScriptedLoadableModuleLogic):
         return node
 
     @needs_packages
-    def plan(  # everything after the second has a default
-        self, inputVolume, references, settings=None, roi=None, labels=None, referenceLabels=None, labelGroups=None
-    ):
+    def plan(self, inputVolume, references, settings=None, **nodes):
         """What a run would do, what it leaves out and why; takes seconds at most.
+
+        Args:
+            nodes: roi, labels, referenceLabels, labelGroups, body, referenceMasks as for `process`.
 
         Returns:
             MedColorLib's plan: `.text()` for people, `.to_dict()` for programs.
         """
-        return self.planner(inputVolume, references, settings, roi, labels, referenceLabels, labelGroups)()
+        return self.planner(inputVolume, references, settings, **nodes)()
 
     @needs_packages
-    def planner(  # everything after the second has a default
-        self, inputVolume, references, settings=None, roi=None, labels=None, referenceLabels=None, labelGroups=None
-    ):
+    def planner(self, inputVolume, references, settings=None, **nodes):
         """The computation behind `plan`: a function without arguments that touches no node, for a worker thread."""
         import MedColorLib
 
-        volume = scene.volume_from_node(inputVolume)
-        region = scene.region_from_roi(roi, inputVolume)
-        settings = scene.settings_for_region(settings or MedColorLib.Settings(), region, inputVolume)
-        pictures = references_of.references_from(references, inputVolume)
-        guard = labels_of.guard_from(labels, inputVolume, referenceLabels, labelGroups)
-        return lambda: MedColorLib.make_plan(volume, pictures, settings, guard=guard)
+        return given.take(inputVolume, references, settings or MedColorLib.Settings(), **nodes).plan
 
     @needs_packages
     def recommend(  # everything after the second has a default
@@ -301,29 +284,6 @@ class MedColorLogic(ScriptedLoadableModuleLogic):
     def setFade(self, fade: float) -> None:
         """0: slice views show grey alone; 1: colour alone."""
         comparison.set_fade(slicer.mrmlScene, fade)
-
-    @staticmethod
-    def _draft(settings, slices):
-        """Settings at draft quality; options go with their smoother, which another preset may replace."""
-        draft = dataclasses.replace(settings, preset="draft", slices=slices, smoother_options=None, confidence=False)
-        if draft.resolved_smoother == settings.resolved_smoother:
-            draft = dataclasses.replace(draft, smoother_options=settings.smoother_options)
-        return draft
-
-    @staticmethod
-    def _settings(settings, options):
-        import MedColorLib
-        from MedColorLib.errors import SettingsError
-
-        fields = {field.name for field in dataclasses.fields(MedColorLib.Settings)}
-        unknown = sorted(set(options) - fields)
-        if unknown:
-            raise SettingsError(
-                _("There is no setting {unknown}; there are {known}.").format(
-                    unknown=", ".join(unknown), known=", ".join(sorted(fields))
-                )
-            )
-        return dataclasses.replace(settings, **options) if settings else MedColorLib.Settings(**options)
 
     @staticmethod
     def _check_output(output_node, input_node) -> None:

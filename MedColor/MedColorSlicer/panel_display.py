@@ -51,8 +51,9 @@ class DisplayPart:
             (ui.compareCheckBox, _("Two linked 3-D views, grey beside colour.")),
             (ui.fadeSlider, _("How much colour covers grey in the slice views; 1 is colour alone.")),
         ):
-            widget.enabled = node is not None
-            widget.toolTip = tip if node else without
+            previewed = widget is ui.fadeSlider and (self.panel.preview.shown or self.panel.live.on)
+            widget.enabled = node is not None or previewed
+            widget.toolTip = tip if widget.enabled else without
         for widget in (
             ui.opacitySlider, ui.resetRenderingButton, ui.cutComboBox, ui.frontViewButton, ui.halfViewButton,
             ui.openViewButton, ui.lightCheckBox,
@@ -161,7 +162,7 @@ class DisplayPart:
             self.panel.logic.setOpacity(node, value)
 
     def _onFade(self, value) -> None:
-        if self._node() is not None:
+        if self._node() is not None or self.panel.preview.shown or self.panel.live.on:
             self.panel.logic.setFade(value)
 
     def _onLight(self, checked) -> None:

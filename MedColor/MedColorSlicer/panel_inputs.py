@@ -22,8 +22,6 @@ class InputsPart:
         # two of them, because the browse button of one chooses either files or folders
         ui.referencePathLineEdit.currentPathChanged.connect(self._onPath)
         ui.referenceFolderLineEdit.currentPathChanged.connect(self._onPath)
-        ui.roiSelector.currentNodeChanged.connect(self._onRoi)
-        ui.labelsSelector.currentNodeChanged.connect(self._onLabels)
         ui.recommendButton.clicked.connect(self._onRecommend)
         ui.recommendedList.currentRowChanged.connect(self._onPicked)
         ui.downloadButton.clicked.connect(self._onDownload)
@@ -54,6 +52,8 @@ class InputsPart:
         )
         _name(ui.gammaComboBox, [_("Automatic"), _("On (square root, as in the paper)"), _("Off")])
         _name(ui.luminanceComboBox, [_("Natural"), _("Keep that of the volume"), _("As in the paper")])
+        _name(ui.exposureComboBox, [_("Automatic"), _("Off"), _("Gain")])
+        _name(ui.bodyComboBox, [_("Find it"), _("All of the picture"), _("Labels in the scene")])
         _name(
             ui.deviceComboBox, [_("Automatic"), _("Processor"), _("NVIDIA graphics (CUDA)"), _("Apple graphics (MPS)")]
         )
@@ -69,10 +69,6 @@ class InputsPart:
         for line in (ui.referencePathLineEdit, ui.referenceFolderLineEdit):
             if line.currentPath != p.referencePath:
                 line.currentPath = p.referencePath
-        if ui.roiSelector.currentNode() is not p.roi:
-            ui.roiSelector.setCurrentNode(p.roi)
-        if ui.labelsSelector.currentNode() is not p.labels:
-            ui.labelsSelector.setCurrentNode(p.labels)
         ready = not scene.input_problem(p.inputVolume) and os.path.isdir(p.referencePath)
         ui.recommendButton.enabled = ready
         ui.recommendButton.toolTip = (
@@ -111,16 +107,6 @@ class InputsPart:
     def _onPath(self, path) -> None:
         if self.panel.parameters and self.panel.parameters.referencePath != path:
             self.panel.parameters.referencePath = path
-
-    def _onRoi(self, _node=None) -> None:
-        chosen = self.ui.roiSelector.currentNode()
-        if self.panel.parameters and self.panel.parameters.roi is not chosen:
-            self.panel.parameters.roi = chosen
-
-    def _onLabels(self, _node=None) -> None:
-        chosen = self.ui.labelsSelector.currentNode()
-        if self.panel.parameters and self.panel.parameters.labels is not chosen:
-            self.panel.parameters.labels = chosen
 
     # --- recommended pictures ----------------------------------------------------------------------------------------
 

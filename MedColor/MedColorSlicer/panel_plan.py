@@ -9,7 +9,7 @@ import qt
 import slicer
 from slicer.i18n import tr as _
 
-from . import dependencies, labels, parameters, running
+from . import dependencies, parameters, running
 
 _DELAY_MS = 400  # after the last change
 _POLL_MS = 50
@@ -76,7 +76,7 @@ class PlanPart:
         self._asked = question
         try:
             self._settings, pictures = parameters.settings_from(p), panel.inputs.references()
-            compute = panel.logic.planner(p.inputVolume, pictures, self._settings, p.roi, p.labels)
+            compute = panel.logic.planner(p.inputVolume, pictures, self._settings, **panel.nodes.arguments())
         except Exception as error:  # what is wrong is said in the plan's place
             self._tell(panel.explain(error))
             return
@@ -89,9 +89,8 @@ class PlanPart:
     def _question(self, p) -> tuple:
         image = p.inputVolume.GetImageData()
         values = [getattr(p, name) for name in _PLAN_FIELDS]
-        others = [node.GetMTime() if node else 0 for node in (p.roi, p.referenceNode)]
-        others.append(labels.state_of(p.labels))
-        return (p.inputVolume.GetID(), image.GetMTime(), *others, *values)
+        count = self.panel.volumes.count()
+        return (p.inputVolume.GetID(), image.GetMTime(), count, *self.panel.nodes.state(), *values)
 
     def _look(self) -> None:
         if self._worker is None:
@@ -118,13 +117,19 @@ class PlanPart:
         # columns of spaces are for fixed-width type; the panel has none
         text = re.sub(r"(?m)^  (\w[\w ]*?) {2,}", r"\1: ", plan.text())
         expected = _("Colour error to expect: {error}").format(error=error.text() if error else NOT_MEASURED)
-        self._slices = len(plan.slices)
+        count = self.panel.volumes.count() if self.panel.parameters else 1
+        self._slices = count * len(plan.slices)
         self.showTimes()
         about = running.readable_seconds(seconds_per_slice(self._settings.preset) * max(self._slices, 1))
-        short = _("{slices} slices, about {time} with {features} features.").format(
-            slices=self._slices, time=about, features=plan.features
+        of = _(" of {count} volumes like this one").format(count=count) if count > 1 else ""
+        short = _("{slices} slices{of}, about {time} with {features} features.").format(
+            slices=self._slices, of=of, time=about, features=plan.features
         )
-        about_error = expected if error else _("Colour error: not measured with these settings")
+        about_error = _("Colour error: not measured with these settings")
+        if error:
+            about_error = _("Colour error {low:.1f} to {high:.1f} CIEDE2000 on test pairs.").format(
+                low=error.low, high=error.high
+            )
         self._tell(f"{short}\n{about_error}", f"{text}\n{expected}")
 
     def _tell(self, short: str, details: str = "") -> None:
@@ -160,13 +165,15 @@ def learn(preset: str, slices: int, seconds: float) -> None:
 
 _PLAN_FIELDS = (
     "referenceSource", "referencePath", "pickedReference", "preset", "features", "smoother", "smootherAutomatic",
-    "smootherOptions", "coherenceMm", "luminance", "lightness", "gamma", "windowAutomatic", "windowLow", "windowHigh",
+    "smootherOptions", "coherenceMm", "luminance", "lightness", "gamma", "exposure", "exposureGain",
+    "referenceMaskPath", "body", "groupLabels", "windowAutomatic", "windowLow", "windowHigh",
     "allSlices", "firstSlice", "lastSlice", "device",
 )  # fmt: skip
 
 
 def _work(compute, answer: dict) -> None:
     try:
-        answer["plan"] = compute()
+        with running.a_core_for_the_window():
+            answer["plan"] = compute()
     except Exception as error:  # handed over and shown in the panel
         answer["error"] = error

@@ -33,6 +33,11 @@ class PreviewPart:
                 view.GetSliceToRAS().DeepCopy(matrix)
                 view.UpdateMatrices()
 
+    @property
+    def shown(self) -> bool:
+        """Whether a preview lies over the slices."""
+        return self._node is not None
+
     def forget(self) -> None:
         """The scene removes the node itself."""
         self._node, self._earlier = None, None
@@ -43,6 +48,7 @@ class PreviewPart:
             self._node = None
 
     def _onPreview(self, _checked=False) -> None:
+        self.panel.live.stop()
         self.panel.runJob(self._preview, volume=self.panel.parameters.inputVolume)
 
     def _preview(self, job) -> str:
@@ -57,7 +63,7 @@ class PreviewPart:
             job.cancelled,
             run=self.panel.runResponsive,
             previous=self._node,
-            labels=p.labels,
+            **self.panel.nodes.arguments(),
         )
         comparison.overlay(slicer.mrmlScene, grey, self._node, 1.0)
         text = _("Preview of slice {index}, at draft quality.").format(index=index)

@@ -2,18 +2,28 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import logging
 
 import slicer
 from slicer.i18n import tr as _
 
-from . import dependencies, running, scene
+from . import dependencies, running, scene, sequences
 from .labels import grouped_by_name
 from .panel_plan import learn
 from .parameters import settings_from
 
 _LOG = logging.getLogger("MedColorLib")
+
+
+@dataclasses.dataclass(frozen=True)
+class Choices:
+    """What was chosen when Apply was pressed: later changes of the panel concern the next run."""
+
+    references: list
+    settings: object
+    nodes: dict
 
 
 class Runs:
@@ -29,54 +39,109 @@ class Runs:
             self.ui.applyButton.enabled = False
             self.say(_("Cancelling..."))
             return
-        p = self._parameterNode
-        self.runJob(self._apply, volume=p.inputVolume, others=(p.outputVolume,))
+        self.live.stop()
+        self.runJob(self._apply)
 
     def _apply(self, job):
-        parameters = self._parameterNode
-        grey = parameters.inputVolume
+        """Colour all that is chosen; one that cannot be coloured does not keep the others from it."""
+        from MedColorLib.errors import Cancelled
+
+        p = self._parameterNode
+        choices = Choices(self.inputs.references(), settings_from(p), self.nodes.arguments())
+        volumes, done, failed = self.volumes.chosen(), [], []
+        for number, grey in enumerate(volumes):
+            report = sequences.share_of(job.progress, number, len(volumes), grey.GetName())
+            try:
+                done.append(self._colour(job, p, grey, choices, report))
+            except Cancelled as error:
+                if not done:
+                    raise
+                return " ".join(
+                    [self.explain(error), _("Coloured before that: {names}.").format(names=", ".join(done))]
+                )
+            except Exception as error:
+                if len(volumes) == 1:
+                    raise
+                failed.append(f"{grey.GetName()}: {self.explain(error)}")
+        self.preview.remove()
+        text = _("Done in {time}: {names}.").format(
+            time=running.readable_seconds(job.elapsed_seconds()), names=", ".join(done)
+        )
+        if grouped_by_name(p.labels):
+            failed.append(_("The segments were grouped by what they are called; the log has the groups."))
+        return " ".join([text, *failed] if done else failed)
+
+    def _colour(self, job, p, grey, choices, report):
+        """One volume, or every time point of its sequence; returns the name of the result."""
+        sequence = self.volumes.sequence_of(grey)
+        if sequence is not None:
+            return self._colourSequence(job, p, grey, sequence, choices, report)
+        output = p.outputVolume if grey is p.inputVolume else scene.result_of(grey)
+        if sequences.sequence_of(output) is not None:
+            output = None  # it plays the colours of all time points
+        self._workOn(grey, output)
+        start = job.elapsed_seconds()
         node = self.logic.process(
             grey,
-            self.inputs.references(),
-            parameters.outputVolume,
-            settings_from(parameters),
-            job.progress,
+            choices.references,
+            output,
+            choices.settings,
+            report,
             job.cancelled,
-            roi=parameters.roi,
             run=self.runResponsive,
-            labels=parameters.labels,
+            **choices.nodes,
         )
-        self.preview.remove()
-        self._learn(node, job)
-        self.display.showResult(parameters, grey, node, here=self._parameterNode is not None)
-        done = _("Done in {time}: {name}.").format(
-            time=running.readable_seconds(job.elapsed_seconds()), name=node.GetName()
-        )
-        if grouped_by_name(parameters.labels):
-            done += " " + _("The segments were grouped by what they are called; the log has the groups.")
-        return done
+        self._learn(node, job.elapsed_seconds() - start)
+        self._showResult(p, grey, node)
+        return node.GetName()
 
-    def _learn(self, node, job):
+    def _colourSequence(self, job, p, grey, sequence, choices, report):
+        self._workOn(None, grey, sequence)  # playing it in the meantime does no harm
+        colored = self.logic.processSequence(
+            sequence,
+            choices.references,
+            choices.settings,
+            report,
+            job.cancelled,
+            run=self.runResponsive,
+            nodes=choices.nodes,
+        )
+        player = sequences.shown(colored, grey)
+        if player is not None:
+            self._showResult(p, grey, player)
+        return colored.GetName()
+
+    def _showResult(self, p, grey, node):
+        """The result of the chosen volume; those of others wait in the scene."""
+        if grey is p.inputVolume:
+            self.preview.remove()
+            self.display.showResult(p, grey, node, here=self._parameterNode is not None)
+
+    def _learn(self, node, seconds: float):
         """How long this took, for the times shown beside the presets."""
         report = json.loads(node.GetAttribute(scene.REPORT_ATTRIBUTE))
         slices = len(report.get("plan", {}).get("slices", ()))
-        learn(report["settings"]["preset"], slices, job.elapsed_seconds())
+        learn(report["settings"]["preset"], slices, seconds)
         if not self._closed:
             self.plan.showTimes()
 
-    def runJob(self, action, needsPackages: bool = True, volume=None, others=()):
+    def _workOn(self, volume, *others):
+        """The run ends when the voxels of a node are replaced, with which it computes: the result would be worth nothing;
+        and when that node, or another one that the result needs, is removed."""
+        self.watch.release()
+        self._inWork = tuple(node for node in (volume, *others) if node is not None)
+        self.watch.guard(volume, self._onSpoiled)
+
+    def runJob(self, action, needsPackages: bool = True, volume=None):
         """Run `action(job)` with progress bar and Cancel; its text, or what went wrong, is shown below the buttons.
 
         Args:
-            volume: node whose voxels are computed with; when they are replaced, what is computed is worth nothing, and the
-                run ends at once.
-            others: nodes that the result needs; the run ends when one of them, or `volume`, is removed.
+            volume: node that is computed with; see `_workOn`.
         """
         if self.job:
             return
         self.job = running.Job()
-        self._inWork = tuple(node for node in (volume, *others) if node is not None)
-        self.watch.guard(volume, self._onSpoiled)
+        self._workOn(volume)
         self._showBusy(True)
         self.say("")
         try:
@@ -121,7 +186,7 @@ class Runs:
         ui = self.ui
         for part in (ui.inputsCollapsibleButton, ui.advancedCollapsibleButton, ui.outputCollapsibleButton):
             part.enabled = not busy
-        ui.previewButton.enabled = not busy
+        ui.previewButton.enabled = ui.followCheckBox.enabled = not busy
         ui.progressBar.visible = busy
         ui.progressBar.value = 0
         ui.progressBar.format = "%p%"

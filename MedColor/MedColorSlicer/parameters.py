@@ -1,7 +1,8 @@
 """The choices of the panel, kept in the scene, and the library settings they stand for.
 
 Every field has one control in the panel, tied to it by the property SlicerParameterName in `MedColor.ui`, or by
-`panel_inputs` (the path, the picked picture, the region of interest, the labels) and `panel_smoother` (the smoother's values).
+`panel_inputs` (the path, the picked picture), `panel_nodes` (region, labels, body, mask of the reference), `panel_smoother`
+(the smoother's values) and `panel_volumes` (the other volumes, which are node references beside the fields).
 """
 
 import dataclasses
@@ -18,6 +19,8 @@ PRESETS, FEATURES, SMOOTHERS, LUMINANCES = map(
     list, (library.PRESETS, library.FEATURES, library.SMOOTHERS, library.LUMINANCE)
 )
 GAMMAS = {"auto": None, "on": True, "off": False}
+EXPOSURES = ["auto", "off", "gain"]
+BODIES = ["auto", "all", "node"]
 DEVICES = ["auto", "cpu", "cuda", "mps"]
 
 
@@ -26,6 +29,7 @@ class MedColorParameterNode:
     """One field for each control; the names of the choices are those of MedColorLib.Settings."""
 
     inputVolume: vtkMRMLScalarVolumeNode
+    allTimePoints: bool = False  # where it is one of a sequence
     referenceSource: Annotated[str, Choice(REFERENCE_SOURCES)] = "files"
     referencePath: str  # file or folder; for "recommended" the folder to choose from
     pickedReference: str  # picture clicked among the recommended ones
@@ -40,15 +44,22 @@ class MedColorParameterNode:
     luminance: Annotated[str, Choice(LUMINANCES)] = library.Settings.luminance
     lightness: Annotated[float, WithinRange(0.0, 1.0)] = library.Settings.lightness
     gamma: Annotated[str, Choice(list(GAMMAS))] = "auto"
+    exposure: Annotated[str, Choice(EXPOSURES)] = "auto"
+    exposureGain: Annotated[float, WithinRange(0.1, 10.0)] = 1.0
+    referenceMaskNode: vtkMRMLDisplayableNode  # a label map, a segmentation or a picture
+    referenceMaskPath: str  # picture or folder, for references that are files
     windowAutomatic: bool = True
     windowLow: Annotated[float, WithinRange(-100000.0, 100000.0)] = 0.0
     windowHigh: Annotated[float, WithinRange(-100000.0, 100000.0)] = 255.0
+    body: Annotated[str, Choice(BODIES)] = "auto"
+    bodyNode: vtkMRMLDisplayableNode  # a label map or a segmentation
     allSlices: bool = True
     # transverse slices, counted from the feet up as MedColorLib does; both ends belong to the range
     firstSlice: Annotated[int, WithinRange(0, 100000)] = 0
     lastSlice: Annotated[int, WithinRange(0, 100000)] = 0
     roi: vtkMRMLDisplayableNode  # a markups ROI; that class may not be loaded yet when this file is
     labels: vtkMRMLDisplayableNode  # a label map or a segmentation
+    groupLabels: bool = False  # segments by what they are called
     device: Annotated[str, Choice(DEVICES)] = "auto"
     seed: Annotated[int, WithinRange(0, 1000000)] = 0
 
@@ -103,6 +114,8 @@ def settings_from(parameters):
         "luminance": parameters.luminance,
         "lightness": parameters.lightness,
         "gamma": GAMMAS[parameters.gamma],
+        "exposure": parameters.exposureGain if parameters.exposure == "gain" else parameters.exposure,
+        "body": "all" if parameters.body == "all" else "auto",  # a node is an argument of its own
         "window": None if parameters.windowAutomatic else (parameters.windowLow, parameters.windowHigh),
         "slices": None if parameters.allSlices else (parameters.firstSlice, parameters.lastSlice + 1),
         "device": parameters.device,

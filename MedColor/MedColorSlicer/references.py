@@ -8,6 +8,8 @@ import slicer
 import vtk
 from slicer.i18n import tr as _
 
+from . import reference_masks
+
 
 def pictures_in(path: str) -> list[str]:
     """Picture files that a path stands for: the file itself, or the pictures in a folder in order of their names.
@@ -70,24 +72,56 @@ def picture_from_node(node, input_node=None):
     return voxels[voxels.shape[0] // 2, :, :, :3].copy()
 
 
-def references_from(references, input_node=None) -> list:
-    """What the library takes: paths and (H, W, 3) arrays, from nodes, node IDs, paths, folders and arrays.
+def references_from(references, input_node=None, masks=None) -> tuple[list, tuple | None]:
+    """What the library takes: paths and arrays, from nodes, paths, folders and arrays; and the masks of the paths.
 
     A folder stays one, so that the library may leave out a picture of it that cannot be used, and say so.
+
+    Args:
+        masks: for each reference what says what is tissue in it, or None; see `MedColorLogic.process`.
+
+    Returns:
+        References; (H, W, 4) uint8 where a node has a mask. For each a path or None; None without any.
     """
+    from MedColorLib.errors import InputError
+
     if isinstance(references, (str, os.PathLike)) or not isinstance(references, (list, tuple)):
         references = [references]
-    result: list = []
-    for reference in references:
-        if isinstance(reference, (str, os.PathLike)):
-            path = os.fspath(reference)
-            result += [path] if pictures_in(path) else []
-        elif reference is None or hasattr(reference, "IsA"):
-            result.append(picture_from_node(reference, input_node))
-        else:
-            result.append(reference)
-    if not result:
-        from MedColorLib.errors import InputError
-
+    if not references:
         raise InputError(_("There is no reference; choose a colour photograph."))
-    return result
+    if masks is None:
+        masks = [None] * len(references)
+    elif not isinstance(masks, (list, tuple)):
+        masks = [masks]
+    if len(masks) != len(references):
+        raise InputError(
+            _("{masks} masks for {references} references; give one for each, or None.").format(
+                masks=len(masks), references=len(references)
+            )
+        )
+    pictures = [_picture(reference, mask, input_node) for reference, mask in zip(references, masks)]
+    paths = tuple(os.fspath(mask) if _is_path(mask) else None for mask in masks)
+    return pictures, paths if any(paths) else None
+
+
+def _is_path(value) -> bool:
+    return isinstance(value, (str, os.PathLike))
+
+
+def _picture(reference, mask, input_node):
+    """One reference as the library takes it, with the mask in it where that is a node."""
+    if _is_path(reference):
+        pictures_in(os.fspath(reference))
+        if mask is not None and not _is_path(mask):
+            from MedColorLib.errors import InputError
+
+            raise InputError(
+                _("{name} is a file: its mask is a picture file, too. Load it as a volume to use a node.").format(
+                    name=os.path.basename(os.fspath(reference))
+                )
+            )
+        return os.fspath(reference)
+    if reference is not None and not hasattr(reference, "IsA"):
+        return reference
+    picture = picture_from_node(reference, input_node)
+    return picture if mask is None or _is_path(mask) else reference_masks.with_mask(picture, mask, reference)

@@ -27,6 +27,8 @@ import slicer
 import vtk
 from slicer.i18n import tr as _
 
+from . import scene
+
 OPACITY_ATTRIBUTE = "MedColor.Opacity"  # on the display node: the slider's value, 0..1
 AXIS_ATTRIBUTE = "MedColor.OpacityAxis"  # on the display node: luminance range and unit distance behind the curve
 _SHADER_ATTRIBUTE = "MedColor.Shader"  # on the shader property node: which code it holds
@@ -178,12 +180,51 @@ def take_cut_of(display, other) -> None:
     display.SetCroppingEnabled(bool(other and other.GetCroppingEnabled()))
 
 
+_known_axis: list = [None, None]  # voxel state of the volume that was measured last, and what was found
+
+
 def measured_axis(volume_node) -> dict:
     """Luminance range (as Slicer computes alpha) and opacity unit distance in millimetres of an RGB volume."""
+    state = scene.voxel_state(volume_node)
+    if _known_axis[0] != state:
+        _known_axis[:] = state, _measured(volume_node)
+    return dict(_known_axis[1])
+
+
+def know_axis(volume_node, axis: dict) -> None:
+    """What `axis_of` found in a worker for the voxels of a volume, so that it need not be measured while the window waits."""
+    _known_axis[:] = scene.voxel_state(volume_node), axis
+
+
+def axis_of(rgb, spacing_mm) -> dict:
+    """`measured_axis` of an array (k, j, i, 3), its spacing along i, j, k: for a worker, which leaves VTK alone."""
     import numpy as np
-    from vtk.util.numpy_support import vtk_to_numpy
+
+    low, high, visible = 255, 0, np.zeros((3, max(rgb.shape[:3])), bool)
+    for k, plane in enumerate(rgb):
+        red, green, blue = (plane[..., n].astype(np.float64) for n in range(3))
+        alpha = (0.30 * red + 0.59 * green + 0.11 * blue).astype(np.uint8)  # as vtkImageLuminance, truncation included
+        low, high = min(low, int(alpha.min())), max(high, int(alpha.max()))
+        seen = alpha > 0
+        visible[0, k] = seen.any()
+        visible[1, : seen.shape[0]] |= seen.any(axis=1)
+        visible[2, : seen.shape[1]] |= seen.any(axis=0)
+    return _axis(float(low), float(high), visible, spacing_mm)
+
+
+def _axis(low: float, high: float, visible, spacing_mm) -> dict:
+    """visible: along k, j, i, which planes hold something that is seen."""
+    import numpy as np
 
     from MedColorLib.rendering import presets
+
+    sides = [np.ptp(np.flatnonzero(line)) + 1 if high > 0 else 1 for line in visible]
+    diagonal_mm = float(np.linalg.norm(np.array(sides[::-1]) * spacing_mm))
+    return {"range": [low, high], "unit_mm": presets.unit_distance_mm(diagonal_mm)}
+
+
+def _measured(volume_node) -> dict:
+    from vtk.util.numpy_support import vtk_to_numpy
 
     luminance = vtk.vtkImageLuminance()  # the filter Slicer itself uses: the same truncation
     luminance.SetInputData(volume_node.GetImageData())
@@ -192,9 +233,7 @@ def measured_axis(volume_node) -> dict:
     i, j, k = volume_node.GetImageData().GetDimensions()
     alpha = vtk_to_numpy(luminance.GetOutput().GetPointData().GetScalars()).reshape(k, j, i)
     visible = alpha > 0
-    sides = [np.ptp(np.flatnonzero(visible.any(axis=axes))) + 1 if high > 0 else 1 for axes in ((1, 2), (0, 2), (0, 1))]
-    diagonal_mm = float(np.linalg.norm(np.array(sides[::-1]) * volume_node.GetSpacing()))
-    return {"range": [low, high], "unit_mm": presets.unit_distance_mm(diagonal_mm)}
+    return _axis(low, high, [visible.any(axis=axes) for axes in ((1, 2), (0, 2), (0, 1))], volume_node.GetSpacing())
 
 
 def gpu_display_node(volume_node):

@@ -7,7 +7,9 @@ import logging
 import vtk
 from slicer.util import VTKObservationMixin
 
-from . import rendering
+from . import rendering, sequences
+
+_VOXELS = 18001  # vtkMRMLVolumeNode's ImageDataModifiedEvent; the class may lack the name in Python
 
 
 class RenderingGuard(VTKObservationMixin):
@@ -16,7 +18,8 @@ class RenderingGuard(VTKObservationMixin):
     def __init__(self, scene) -> None:
         VTKObservationMixin.__init__(self)
         self._busy = False
-        self._watched: list = []
+        self._watched: list = []  # volume properties
+        self._played: list = []  # volumes that show one time point after the other
         self.addObserver(scene, scene.EndCloseEvent, self._on_scene_closed)
         self.addObserver(scene, scene.EndImportEvent, self._on_scene_read)
         self.addObserver(scene, scene.EndRestoreEvent, self._on_scene_read)
@@ -28,11 +31,18 @@ class RenderingGuard(VTKObservationMixin):
         if node and node not in self._watched:
             self._watched.append(node)
             self.addObserver(node, vtk.vtkCommand.ModifiedEvent, self._on_property)
+        volume_node = display.GetDisplayableNode()
+        if sequences.sequence_of(volume_node) is not None and volume_node not in self._played:
+            self._played.append(volume_node)
+            self.addObserver(volume_node, _VOXELS, self._on_time_point)
 
     def _on_scene_closed(self, _scene, _event) -> None:
         for node in self._watched:  # removed from the scene; an observation would keep them in memory
             self.removeObserver(node, vtk.vtkCommand.ModifiedEvent, self._on_property)
+        for volume_node in self._played:
+            self.removeObserver(volume_node, _VOXELS, self._on_time_point)
         self._watched.clear()
+        self._played.clear()
 
     def _on_scene_read(self, scene, _event) -> None:
         for display in _medcolor_displays(scene):
@@ -43,6 +53,11 @@ class RenderingGuard(VTKObservationMixin):
         for display in _medcolor_displays(node.GetScene()):
             if display.GetVolumePropertyNode() is node:
                 self._repair(display)
+
+    def _on_time_point(self, volume_node, _event) -> None:
+        """A sequence is played: the opacity curve follows the luminance range, else the body would flicker."""
+        if volume_node.GetImageData() is not None:
+            rendering.refresh(volume_node)
 
     def _repair(self, display) -> None:
         volume_node = display.GetDisplayableNode()

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
+import os
 import queue
 import threading
 import time
@@ -66,7 +68,8 @@ def run_responsive(function, keep_alive, poll_seconds: float = _POLL_SECONDS):
 
     def work() -> None:
         try:
-            outcome["result"] = function()
+            with a_core_for_the_window():
+                outcome["result"] = function()
         except BaseException as error:  # handed over and raised in the calling thread
             outcome["error"] = error
 
@@ -81,6 +84,32 @@ def run_responsive(function, keep_alive, poll_seconds: float = _POLL_SECONDS):
     if "error" in outcome:
         raise outcome["error"]
     return outcome["result"]
+
+
+@contextlib.contextmanager
+def a_core_for_the_window():
+    """For a worker: torch and OpenCV leave one processor core to Slicer's window; afterwards they have their threads back.
+
+    MedColorLib is imported before torch, which reads on import how its threads are to wait for each other.
+    """
+    import MedColorLib  # noqa: F401
+
+    try:
+        import cv2
+        import torch
+    except ModuleNotFoundError:  # nothing computes here; what needs them says so
+        yield
+        return
+    from MedColorLib.device import leave_cores_free
+
+    before = torch.get_num_threads(), cv2.getNumThreads()
+    if max(before) >= (os.cpu_count() or 1):  # fewer were set: by the user, or because cores are counted twice
+        leave_cores_free(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before[0])
+        cv2.setNumThreads(before[1])
 
 
 class _redirected_log:  # used like a function

@@ -86,13 +86,22 @@ def _voxel_problem(node) -> str:
     if image is None or image.GetPointData().GetScalars() is None or not all(image.GetDimensions()):
         return _("{name} has no voxels; load its image data or select another volume.").format(name=node.GetName())
     count = image.GetNumberOfScalarComponents()
-    return (
-        ""
-        if count == 1
-        else _("{name} has {count} values per voxel; select a scalar (grey) volume.").format(
+    if count != 1:
+        return _("{name} has {count} values per voxel; select a scalar (grey) volume.").format(
             name=node.GetName(), count=count
         )
-    )
+    if not _has_extent(ijk_to_world(node)):
+        return _(
+            "{name} has no extent along one of its axes; correct its spacing (module Volumes) or its transform, or load it again."
+        ).format(name=node.GetName())
+    return ""
+
+
+def _has_extent(matrix) -> bool:
+    """Whether an IJK-to-RAS matrix (4, 4) can be inverted."""
+    import numpy as np
+
+    return bool(np.isfinite(matrix).all() and abs(np.linalg.det(matrix[:3, :3])) > 1e-30)
 
 
 def volume_from_node(node):
@@ -130,7 +139,7 @@ def region_from_roi(roi_node, input_node):
     """((k0, k1), (j0, j1), (i0, i1)), half-open voxel ranges of the box around a markups ROI; None without one.
 
     Raises:
-        MedColorLib.errors.InputError: the region lies outside the volume.
+        MedColorLib.errors.InputError: the region has no size, or lies outside the volume.
     """
     if roi_node is None:
         return None
@@ -140,6 +149,8 @@ def region_from_roi(roi_node, input_node):
 
     bounds = [0.0] * 6
     roi_node.GetRASBounds(bounds)
+    if any(bounds[2 * axis + 1] <= bounds[2 * axis] for axis in range(3)):
+        raise InputError(_("{name} has no size; drag its handles or select none.").format(name=roi_node.GetName()))
     corners = np.array([[bounds[a], bounds[2 + b], bounds[4 + c], 1.0] for a in (0, 1) for b in (0, 1) for c in (0, 1)])
     ijk = (np.linalg.inv(ijk_to_world(input_node)) @ corners.T)[:3]
     size = np.array(input_node.GetImageData().GetDimensions())
@@ -150,10 +161,8 @@ def region_from_roi(roi_node, input_node):
     return tuple((int(low[axis]), int(high[axis])) for axis in (2, 1, 0))
 
 
-def settings_for_region(settings, region, input_node):
-    """Settings that colour only the slices a region meets; as they are without a region.
-
-    Whole slices are coloured, because the outline of the body is what they are matched by; `only_inside` cuts the rest.
+def with_region(settings, region, input_node):
+    """Settings that colour only a region ((k0, k1), (j0, j1), (i0, i1)); as they are without one.
 
     Raises:
         MedColorLib.errors.InputError: the region meets none of the slices asked for.
@@ -166,26 +175,9 @@ def settings_for_region(settings, region, input_node):
     start, stop = region[order.axes[0]]
     if order.flips[0]:
         start, stop = count - stop, count - start
-    if settings.slices:
-        start, stop = max(start, settings.slices[0]), min(stop, settings.slices[1])
-    if start >= stop:
+    if settings.slices and max(start, settings.slices[0]) >= min(stop, settings.slices[1]):
         raise InputError(_("The region of interest meets none of the chosen slices; move it or choose all slices."))
-    return dataclasses.replace(settings, slices=(start, stop))
-
-
-def only_inside(color_volume, region):
-    """The result with black outside a region ((k0, k1), (j0, j1), (i0, i1)); as it is without one."""
-    if region is None:
-        return color_volume
-    import numpy as np
-
-    box = tuple(slice(start, stop) for start, stop in region)
-    parts = {"rgb": color_volume.rgb, "confidence": color_volume.confidence}
-    for name, values in parts.items():
-        if values is not None:
-            parts[name] = np.zeros_like(values)
-            parts[name][box] = values[box]
-    return dataclasses.replace(color_volume, **parts, report={**color_volume.report, "region_kji": region})
+    return dataclasses.replace(settings, region=region)
 
 
 def stack_of(node, plane: str = "transverse"):
@@ -313,6 +305,14 @@ def _place_beside(node, input_node) -> None:
         hierarchy.SetItemParent(own, parent)
     else:  # Slicer makes items for new nodes by itself; without its plugins nobody does
         hierarchy.CreateItem(parent, node)
+
+
+def fill_part(node, voxels, input_node, offset_ijk) -> None:
+    """Fill a colour volume node with a part of the input in colour (k, j, i, 3), not to be saved with the scene."""
+    _fill(node, voxels, input_node)
+    place_part(node, input_node, offset_ijk)
+    for own in (node, node.GetVolumeDisplayNode()):
+        own.SetSaveWithScene(False)
 
 
 def place_part(node, input_node, offset_ijk) -> None:

@@ -7,6 +7,7 @@ test is not about the colours themselves, a quick stand-in takes the place of th
 import json
 import os
 import tempfile
+import time
 import unittest
 
 import slicer
@@ -253,6 +254,54 @@ class MedColorTest(ScriptedLoadableModuleTest):
         panel.ui.smootherAutomaticCheckBox.click()
         self.assertIsNone(parameters.settings_from(p).smoother_options)
 
+    def test_panel_live_preview_follows_the_slices(self):
+        import numpy as np
+
+        from MedColorSlicer import samples
+
+        self._needs_packages()
+        red = slicer.mrmlScene.GetNodeByID("vtkMRMLSliceNodeRed")
+        if red is None:
+            self.skipTest("no slice views; run without --no-main-window")
+        panel = self._panel()
+        panel.parameters.inputVolume, panel.parameters.referenceNode = samples.load_phantom()
+        panel.parameters.referenceSource = "node"
+        bounds = [0.0] * 6
+        panel.parameters.inputVolume.GetRASBounds(bounds)
+        middle = [(bounds[2 * axis] + bounds[2 * axis + 1]) / 2 for axis in range(3)]
+        red.SetSliceToRASByNTP(0, 0, 1, -1, 0, 0, *middle, 0)
+        panel.ui.followCheckBox.click()
+        pictures = []
+        for shift in (0.0, 20.0):
+            red.SetSliceOffset(middle[2] + shift)
+            self._wait_for(lambda: panel.live.idle and panel.live.picture("Red") is not None)
+            pictures.append(slicer.util.arrayFromVolume(panel.live.picture("Red")).copy())
+            self.assertGreater(int(np.ptp(pictures[-1].astype(int), axis=3).max()), 20, panel.ui.statusLabel.text)
+        self.assertTrue((pictures[0] != pictures[1]).any())
+        panel.ui.lightnessSlider.value = 0.1
+        self._wait_for(lambda: panel.live.idle)
+        self.assertTrue((slicer.util.arrayFromVolume(panel.live.picture("Red")) != pictures[1]).any())
+        panel.ui.followCheckBox.click()
+        self.assertIsNone(panel.live.picture("Red"))
+
+    def test_panel_exposure_body_and_region(self):
+        from MedColorSlicer import parameters
+
+        panel = self._panel()
+        panel.parameters.inputVolume = grey_node((12, 24, 24))
+        panel.ui.exposureComboBox.currentIndex = 2
+        panel.ui.exposureGainSlider.value = 2.5
+        panel.ui.bodyComboBox.currentIndex = 1
+        settings = parameters.settings_from(panel.parameters)
+        self.assertEqual((settings.exposure, settings.body), (2.5, "all"))
+        panel.ui.roiSelector.addNode()
+        self.assertIsNotNone(panel.parameters.roi)
+        bounds, box = [0.0] * 6, [0.0] * 6
+        panel.parameters.inputVolume.GetRASBounds(bounds)
+        panel.parameters.roi.GetRASBounds(box)
+        for edge, wanted in zip(box, bounds):
+            self.assertAlmostEqual(edge, wanted, 3)
+
     def test_panel_cancel_and_error(self):
         panel = self._panel()
         panel.parameters.inputVolume = grey_node((12, 24, 24))
@@ -280,11 +329,9 @@ class MedColorTest(ScriptedLoadableModuleTest):
     # --- the whole way -------------------------------------------------------------------------------------------
 
     def test_phantom_is_colored(self):
-        from MedColorSlicer import dependencies, samples
+        from MedColorSlicer import samples
 
-        if dependencies.torch_missing() or dependencies.missing():
-            missing = (["torch"] if dependencies.torch_missing() else []) + dependencies.missing()
-            self.skipTest(f"packages are not installed: {', '.join(missing)}")
+        self._needs_packages()
         grey, picture = samples.load_phantom()
         result = logic().process(grey, picture, preset="draft", features="embedded", slices=(20, 22))
         voxels = slicer.util.arrayFromVolume(result)
@@ -298,6 +345,21 @@ class MedColorTest(ScriptedLoadableModuleTest):
 
         with self._stand_in():
             return logic().process(grey, [np.full((4, 5, 3), (180, 90, 40), np.uint8)], output, **options)
+
+    def _needs_packages(self):
+        from MedColorSlicer import dependencies
+
+        if dependencies.torch_missing() or dependencies.missing():
+            missing = (["torch"] if dependencies.torch_missing() else []) + dependencies.missing()
+            self.skipTest(f"packages are not installed: {', '.join(missing)}")
+
+    def _wait_for(self, condition, seconds=60.0):
+        end = time.monotonic() + seconds
+        slicer.app.processEvents()
+        while not condition():
+            self.assertLess(time.monotonic(), end, "waited in vain")
+            slicer.app.processEvents()
+            time.sleep(0.01)
 
     def _stand_in(self, seconds=0.0):
         return StandIn(seconds)

@@ -28,6 +28,38 @@ def volumes_of(sequence) -> list:
     return found
 
 
+def sequence_of(volume):
+    """The sequence of which a volume shows a time point (it is the "proxy" of a browser); None where it is none."""
+    if volume is None or volume.GetScene() is None:
+        return None
+    browser = _browser_of_proxy(volume)
+    return browser.GetSequenceNode(volume) if browser is not None else None
+
+
+def _browser_of_proxy(volume):
+    nodes, kind = volume.GetScene(), "vtkMRMLSequenceBrowserNode"
+    for n in range(nodes.GetNumberOfNodesByClass(kind)):
+        browser = nodes.GetNthNodeByClass(n, kind)
+        if browser.GetSequenceNode(volume) is not None:
+            return browser
+    return None
+
+
+def shown(colored, volume):
+    """The volume that plays coloured time points beside the one that plays the scan's; None without Slicer's Sequences."""
+    browser, module = _browser_of_proxy(volume), getattr(slicer.modules, "sequences", None)
+    if browser is None or module is None:
+        return None
+    module.logic().UpdateProxyNodesFromSequences(browser)
+    proxy = browser.GetProxyNode(colored)
+    if proxy is not None:
+        proxy.SetAndObserveTransformNodeID(volume.GetTransformNodeID())
+        proxy.SetNodeReferenceID(scene.INPUT_ROLE, volume.GetID())
+        if proxy.GetVolumeDisplayNode() is None:
+            proxy.CreateDefaultDisplayNodes()
+    return proxy
+
+
 def publish(sequence, results):
     """A sequence of coloured volumes beside a sequence, and in step with it in each browser that plays that one.
 
@@ -40,6 +72,7 @@ def publish(sequence, results):
     nodes = sequence.GetScene()
     name = nodes.GenerateUniqueName(f"{sequence.GetName()} coloured")
     colored = nodes.AddNewNodeByClass("vtkMRMLSequenceNode", name)
+    colored.SetNodeReferenceID(scene.INPUT_ROLE, sequence.GetID())
     colored.SetIndexName(sequence.GetIndexName())
     colored.SetIndexUnit(sequence.GetIndexUnit())
     carrier = slicer.vtkMRMLVectorVolumeNode()
@@ -65,9 +98,10 @@ def browsers_of(sequence) -> list:
     return [browser for browser in found if browser.IsSynchronizedSequenceNode(sequence, True)]
 
 
-def share_of(progress, number: int, count: int):
-    """What one time point of several reports as part of all; None without `progress`."""
-    if progress is None:
-        return None
-    text = _("time point {number} of {count}: ").format(number=number + 1, count=count)
-    return lambda fraction, what: progress((number + fraction) / count, text + what)
+def share_of(progress, number: int, count: int, name: str = ""):
+    """What one time point (or volume of that name) of several reports as part of all; None without `progress`."""
+    if progress is None or count == 1:
+        return progress
+    text = _("time point {number} of {count}: ") if not name else _("{name}, {number} of {count}: ")
+    text = text.format(name=name, number=number + 1, count=count)
+    return lambda fraction, what="": progress((number + fraction) / count, text + what)

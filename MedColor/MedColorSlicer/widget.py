@@ -10,14 +10,17 @@ from slicer.i18n import tr as _
 from slicer.ScriptedLoadableModule import ScriptedLoadableModuleWidget
 from slicer.util import VTKObservationMixin
 
-from . import labels, rendering_guard, scene
+from . import rendering_guard, scene
 from .logic import MedColorLogic
 from .panel_display import DisplayPart
 from .panel_inputs import InputsPart
+from .panel_live import LivePart
+from .panel_nodes import NodesPart
 from .panel_plan import PlanPart
 from .panel_preview import PreviewPart
 from .panel_run import Runs
 from .panel_smoother import SmootherPart
+from .panel_volumes import VolumesPart
 from .scene_watch import SceneWatch
 
 
@@ -33,6 +36,7 @@ class MedColorWidget(Runs, ScriptedLoadableModuleWidget, VTKObservationMixin):
         self._parameterNode = None
         self._guiTag, self._guiObservers, self._updateTag = None, [], None
         self._closed = False
+        self._lost = False  # the parameter node was removed under the open panel
 
     # --- life cycle -------------------------------------------------------------------------------------------------
 
@@ -45,10 +49,13 @@ class MedColorWidget(Runs, ScriptedLoadableModuleWidget, VTKObservationMixin):
         self.logic = MedColorLogic()
         rendering_guard.guard_of(slicer.mrmlScene)
         self.inputs = InputsPart(self)
+        self.nodes = NodesPart(self)
+        self.volumes = VolumesPart(self)
         self.smoother = SmootherPart(self)
         self.display = DisplayPart(self)
         self.preview = PreviewPart(self)
         self.plan = PlanPart(self)
+        self.live = LivePart(self)
         self.ui.applyButton.clicked.connect(self.onApply)
         self.watch = SceneWatch(slicer.mrmlScene, self)
         slicer.app.connect("lastWindowClosed()", self._onLastWindowClosed)
@@ -61,6 +68,7 @@ class MedColorWidget(Runs, ScriptedLoadableModuleWidget, VTKObservationMixin):
         self._onLastWindowClosed()
         slicer.app.disconnect("lastWindowClosed()", self._onLastWindowClosed)
         self.plan.stop()
+        self.live.stop()
         self._setParameterNode(None)
         self.watch.stop()
         self.removeObservers()
@@ -74,6 +82,7 @@ class MedColorWidget(Runs, ScriptedLoadableModuleWidget, VTKObservationMixin):
         self._useParameterNode()
 
     def exit(self):
+        self.live.stop()
         self.preview.remove()
         self._setParameterNode(None)
 
@@ -112,6 +121,7 @@ class MedColorWidget(Runs, ScriptedLoadableModuleWidget, VTKObservationMixin):
             p.outputVolume = scene.result_of(p.inputVolume)
 
     def _setParameterNode(self, parameterNode):
+        self._lost = False
         if self._parameterNode:
             self._disconnectControls()
             # not by the mixin: it would keep the wrapper, and every one of its own observers, until the panel is closed
@@ -160,6 +170,7 @@ class MedColorWidget(Runs, ScriptedLoadableModuleWidget, VTKObservationMixin):
         """The scene is about to be closed, read or restored; the parameter node, too, may be exchanged."""
         if self.job:
             self.job.cancel(_("The scene was closed or another one opened; nothing was coloured."))
+        self.live.forget()
         self.preview.forget()
         self.display.forget()
         self._setParameterNode(None)
@@ -175,9 +186,15 @@ class MedColorWidget(Runs, ScriptedLoadableModuleWidget, VTKObservationMixin):
         """A node is gone."""
         self.stopFor(node)
         self.preview.onNodeRemoved(node)
+        self.live.onNodeRemoved(node)
+        if self._parameterNode and node is self._parameterNode.parameterNode:
+            self._setParameterNode(None)
+            self._lost = True
 
     def onSceneChanged(self, volumesAdded: bool):
         """Nodes came, went or changed."""
+        if self._lost and not self._closed:  # somebody removed the choices themselves: new ones
+            self._useParameterNode()
         if self._closed or not self._parameterNode:
             return
         if volumesAdded and self.job is None:
@@ -193,9 +210,11 @@ class MedColorWidget(Runs, ScriptedLoadableModuleWidget, VTKObservationMixin):
             return
         self._outputOfInput()
         p, ui = self._parameterNode, self.ui
-        nodes = (p.inputVolume, p.outputVolume, p.referenceNode, p.labels, p.roi)
+        nodes = (p.inputVolume, p.outputVolume, p.referenceNode, *self.nodes.nodes(), *self.volumes.others())
         self.watch.follow(scene.behind(*nodes, *self.display.watched()))
         self.inputs.update()
+        self.nodes.update()
+        self.volumes.update()
         self.smoother.update()
         self.display.update()
         self.say(self._message)
@@ -207,14 +226,16 @@ class MedColorWidget(Runs, ScriptedLoadableModuleWidget, VTKObservationMixin):
             ui.applyButton.enabled = ui.previewButton.enabled = not missing
             ui.applyButton.toolTip = missing or _("Colour the volume.")
             ui.previewButton.toolTip = missing or _("Colour the slice shown in the red view, in seconds.")
+            ui.followCheckBox.enabled = self.live.on or not missing
             self.plan.changed()
+            self.live.changed()
 
     def whatIsMissing(self) -> str:
         """Why Apply cannot be pressed, as a sentence; empty if it can."""
         p = self._parameterNode
         if p is None:
             return _("The scene is being closed.")
-        problem = scene.input_problem(p.inputVolume) or self.inputs.problem() or labels.labels_problem(p.labels)
+        problem = scene.input_problem(p.inputVolume) or self.inputs.problem() or self.nodes.problem()
         if problem:
             return problem
         if p.outputVolume is not None and p.outputVolume is p.referenceNode and p.referenceSource == "node":
@@ -231,5 +252,9 @@ class MedColorWidget(Runs, ScriptedLoadableModuleWidget, VTKObservationMixin):
     def say(self, text: str):
         """A line below the buttons; what the state of the scene adds to it follows by itself."""
         self._message = text
-        note = self.display.note() if self._parameterNode else ""
-        self.ui.statusLabel.text = " ".join(part for part in (text, note) if part)
+        self.sayAgain()
+
+    def sayAgain(self):
+        """What the state of the scene adds may have changed."""
+        notes = (self.display.note(), self.live.note()) if self._parameterNode else ()
+        self.ui.statusLabel.text = " ".join(part for part in (self._message, *notes) if part)

@@ -232,6 +232,24 @@ def combine(
     return _out_of_transfer(grey, mask, change, parameters, saturation * parameters.lightness)
 
 
+def colors_of(
+    grey: np.ndarray, mask: np.ndarray, guess: np.ndarray, parameters: TransferParameters, saturation: float = 1.0
+) -> np.ndarray:
+    """The slice in colours that were guessed for each pixel alone, without a remainder; arguments and result as of `combine`.
+
+    Args:
+        guess: (rows, cols, c) what a relation says of the pixels: a*, b* and, with natural luminance first, L*.
+    """
+    guess = guess.copy()
+    guess[..., -2:] *= saturation
+    return _out_of_transfer(grey, mask, guess, parameters, saturation * parameters.lightness)
+
+
+def spread_guide(grey: np.ndarray, parameters: TransferParameters) -> np.ndarray:
+    """Display grey 0..1 as the regression's guide, 0..255."""
+    return 255 * _spread(grey, parameters)
+
+
 def remainder_guide(match: SliceMatch, parameters: TransferParameters) -> np.ndarray:
     """(h, w) 0..255: which pixels of the remainder belong together in neighbouring slices."""
     return _halved(guide_of(match.grey, parameters)[..., None])[..., 0]

@@ -15,6 +15,7 @@ import torch.nn.functional as F
 
 from ..device import choose_device, fast_dtype, is_out_of_memory
 from ..errors import InputError, MemoryTooSmall, SettingsError, WeightsError
+from ..progress import check
 from .architectures import ARCHITECTURES, POOL5_SIDE
 from .dense import DenseLayer
 from .weights import NetworkWeights
@@ -151,6 +152,7 @@ class VGG19:
         with torch.no_grad(), _device_memory(self.device, luminance.shape):
             x = self._relu1_1(luminance) if wanted else luminance
             for layer in range(1, max(wanted, default=0) + 1):
+                check()
                 if layer > 1:
                     x = self._advance(layer - 1, x)
                 if layer in wanted:

@@ -108,6 +108,25 @@ def predict(
     return out.movedim(1, -1).reshape(-1, volume.shape[1])[: values.size].reshape(*values.shape, -1).numpy()
 
 
+def predict_at(model: np.ndarray, y: np.ndarray, x: np.ndarray, guide: np.ndarray) -> np.ndarray:
+    """Read the grid at places of its frame, 0..1 down and across, each with a guide 0..255: (h, w, C) float32.
+
+    Args:
+        y, x: as `guide` (h, w), or broadcast to it; what lies outside the frame is read at its rim.
+    """
+    import torch
+
+    axes = zip((y, x), model.shape[:2])
+    down, across = (np.clip(0.5 + at * (n - 2), 0, n - 1) * (2 / (n - 1)) - 1 for at, n in axes)
+    where = np.empty((*guide.shape, 3), np.float32)
+    where[..., 0], where[..., 1], where[..., 2] = across, down, np.clip(guide, 0, 255) * (2 / 255) - 1
+    volume = torch.from_numpy(np.ascontiguousarray(model)).permute(3, 2, 0, 1)[None]
+    out = torch.nn.functional.grid_sample(
+        volume, torch.from_numpy(where)[None, None], mode="bilinear", padding_mode="border", align_corners=True
+    )
+    return out[0, :, 0].movedim(0, -1).numpy()
+
+
 def splat(
     source: np.ndarray,
     guide: np.ndarray,

@@ -15,6 +15,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from ..progress import check
+
 # Liao et al. go on for up to 500. On pairs of the thorax the votes of the matches are as good as warped ones after 8 iterations,
 # 0.2 to 0.4 CIEDE2000 worse after 16, which halve the loss, and 0.4 to 0.7 worse after 32.
 MOST_ITERATIONS = 16
@@ -112,6 +114,7 @@ def _deconvolve_one(extractor, layer: int, coarse: Tensor, start: Tensor, iterat
         return ((extractor.layer_forward(layer, unknown * of_start) - coarse) / of_coarse).square().sum()
 
     def loss():
+        check()
         optimizer.zero_grad()
         value = misfit()
         value.backward()

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import InputError
+from ..progress import check
 from .air import Air, find_air
 from .ghosts import take_ghosts
 from .parts import BODY, CLEAR, PLATE, TISSUE, filled, mark_body, mark_plates, without_mottle
@@ -196,6 +197,7 @@ def _flags(array: np.ndarray, air: Air, size: tuple[int, int]) -> np.ndarray:
     )
     radius = max(1, round(max(flags.shape[1:]) / 100))
     for out, plane in zip(flags, array):
+        check()
         grey, missing = reduced(plane, scale, size, 0.7)
         measured = True if missing is None else ~missing
         tissue = (grey > threshold) & measured

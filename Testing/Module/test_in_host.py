@@ -18,7 +18,11 @@ HOST = Path(__file__).resolve().parents[1] / "SlicerHost"
 # PySide6-Essentials 6.8.3: later ones (seen: 6.12.0) lose references to None and end Python before 3.12 with an abort.
 PANEL = (
     "cases_panel.py",
+    "cases_panel_anything.py",
+    "cases_panel_bad_input.py",
+    "cases_panel_choices.py",
     "cases_panel_display.py",
+    "cases_panel_live.py",
     "cases_panel_reload.py",
     "cases_panel_running.py",
     "cases_panel_scene.py",

@@ -123,6 +123,9 @@ def test_parameter_names_are_fields_of_the_parameter_node():
     assert parameter_fields() - set(tied) == {
         "referencePath",
         "pickedReference",
+        "referenceMaskNode",
+        "referenceMaskPath",
+        "bodyNode",
         "roi",
         "labels",
         "smootherOptions",
@@ -163,7 +166,7 @@ def test_names_used_in_the_code_are_in_the_ui():
 # Methods that the code calls and that are neither properties, signals nor slots; all of them are in Qt 5.15, CTK or qMRML.
 METHODS = {
     "QComboBox": {"addItem", "setItemText", "itemText"},
-    "QListWidget": {"addItem"},
+    "QListWidget": {"addItem", "row"},
     "QWidget": {"layout", "grab", "property"},
     "qMRMLNodeComboBox": {"currentNode"},
 }

@@ -2,52 +2,10 @@
 
 from __future__ import annotations
 
-import mrml
 import numpy as np
 import pytest
 import slicer
-from host_fixtures import color_node, grey_node, two_colors
-
-SOLID = 0.88  # hardly anything shines through
-SIZE = 120  # pixels; software rendering takes a third of a second for such a picture
-
-
-@pytest.fixture(scope="module")
-def view(host):
-    return mrml.OffscreenView(host, "1", SIZE)
-
-
-@pytest.fixture(scope="module")
-def second_view(host, view):
-    return mrml.OffscreenView(host, "2", SIZE)
-
-
-@pytest.fixture
-def rendering_show(scene):
-    from MedColorSlicer import rendering_show
-
-    return rendering_show
-
-
-@pytest.fixture
-def rendering(scene):
-    from MedColorSlicer import rendering
-
-    return rendering
-
-
-def look(view, node):
-    bounds = [0.0] * 6
-    node.GetRASBounds(bounds)
-    view.make_plain()
-    view.look_at(bounds)
-    return view.render().astype(int)
-
-
-def sides(picture):
-    """Colours at the centres of the two halves; RAS x grows to the left of the picture, seen from behind."""
-    middle, beside = SIZE // 2, SIZE // 5
-    return picture[middle, middle + beside], picture[middle, middle - beside]
+from host_fixtures import SIZE, SOLID, color_node, grey_node, look, sides, two_colors
 
 
 def test_comparison_shows_grey_and_color_in_linked_views(host, view, second_view, rendering, rendering_show):

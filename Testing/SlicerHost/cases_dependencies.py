@@ -164,3 +164,11 @@ def test_nothing_is_installed_while_testing(dependencies, monkeypatch):
     monkeypatch.setattr(dependencies, "missing", lambda: ["scipy>=1.9"])
     with pytest.raises(dependencies.NotInstalled, match="while testing"):
         dependencies.ensure()
+
+
+def test_a_package_that_a_worker_is_just_importing_is_there(dependencies, monkeypatch):
+    """OpenCV has no spec while it is imported, and Python's own question then raises."""
+    half = types.ModuleType("cv2")
+    half.__spec__ = None
+    monkeypatch.setitem(sys.modules, "cv2", half)
+    assert dependencies._is_there("cv2")

@@ -138,12 +138,12 @@ def test_region_of_interest(logic, library, flip):
     roi.SetXYZ(10, 10, 4 * flip)
     roi.SetRadiusXYZ(3, 3, 2)
     voxels = slicer.util.arrayFromVolume(logic.process(grey, [REFERENCE], roi=roi))
-    start, stop = library.calls[0][2].slices
-    assert (start, stop) == ((2, 7) if flip > 0 else (13, 18)), "slices are counted from the feet up"
+    assert library.calls[0][2].region == ((2, 7), (7, 14), (7, 14))
     colored = np.argwhere(voxels.any(axis=-1))
     np.testing.assert_array_equal([colored.min(axis=0), colored.max(axis=0)], [[2, 7, 7], [6, 13, 13]])
     with pytest.raises(InputError, match="none of the chosen slices"):
         logic.process(grey, [REFERENCE], roi=roi, slices=(8, 10))
+    logic.process(grey, [REFERENCE], roi=roi, slices=(6, 7) if flip > 0 else (13, 14))  # counted from the feet up
 
 
 def test_preview_is_one_slice_at_its_place_and_not_saved(logic, library):

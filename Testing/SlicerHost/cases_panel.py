@@ -68,13 +68,18 @@ def test_texts_are_translatable_as_written():
 def test_every_field_has_a_control_bound_both_ways(ready):
     from MedColorSlicer import parameters
 
-    hand_bound = {"referencePath", "pickedReference", "roi", "labels", "smootherOptions", "show3D"}
+    hand_bound = {
+        "referencePath", "pickedReference", "roi", "labels", "smootherOptions", "show3D", "bodyNode", "referenceMaskNode",
+        "referenceMaskPath",
+    }  # fmt: skip
     bound = {w.property("SlicerParameterName"): w for w in vars(ready.ui).values() if w.property("SlicerParameterName")}
     fields = set(parameters.MedColorParameterNode.__annotations__)
     assert set(bound) == fields - hand_bound
     p = ready.parameters
     check_node_control(p, "roi", ready.ui.roiSelector)
     check_node_control(p, "labels", ready.ui.labelsSelector)
+    check_node_control(p, "bodyNode", ready.ui.bodySelector)
+    check_node_control(p, "referenceMaskNode", ready.ui.referenceMaskSelector)
     for name, widget in bound.items():
         kind = type(widget).__name__
         if kind == "NodeComboBox":
@@ -94,7 +99,7 @@ def test_every_field_has_a_control_bound_both_ways(ready):
                 setattr(p, name, not value)
                 assert widget.checked is (not value)
         else:
-            middle = 0.25 if widget.maximum <= 1 else 7
+            middle = 0.25 if widget.maximum <= 1 else 4
             widget.value = middle
             assert getattr(p, name) == middle
             setattr(p, name, middle * 2)
@@ -106,6 +111,8 @@ def check_node_control(p, name, widget):
         "inputVolume": grey_node,
         "roi": lambda: slicer.mrmlScene.AddNewNodeByClass("vtkMRMLMarkupsROINode"),
         "labels": label_node,
+        "bodyNode": label_node,
+        "referenceMaskNode": label_node,
     }.get(name, lambda: color_node(PICTURE))
     first, second = make(), make()
     widget.setCurrentNode(first)
@@ -130,12 +137,19 @@ def test_choices_and_defaults_are_those_of_the_library(panel):
     assert panel.parameters.opacity == presets.DEFAULT_OPACITY
 
 
-@pytest.mark.parametrize("name", ["referencePathLineEdit", "referenceFolderLineEdit"])
-def test_path_is_bound_both_ways(panel, tmp_path, name):
+@pytest.mark.parametrize(
+    ("name", "field"),
+    [
+        ("referencePathLineEdit", "referencePath"),
+        ("referenceFolderLineEdit", "referencePath"),
+        ("referenceMaskLineEdit", "referenceMaskPath"),
+    ],
+)
+def test_path_is_bound_both_ways(panel, tmp_path, name, field):
     line = getattr(panel.ui, name)
     line.currentPath = str(tmp_path)
-    assert panel.parameters.referencePath == str(tmp_path)
-    panel.parameters.referencePath = "/elsewhere"
+    assert getattr(panel.parameters, field) == str(tmp_path)
+    setattr(panel.parameters, field, "/elsewhere")
     assert line.currentPath == "/elsewhere"
 
 
@@ -226,6 +240,7 @@ def test_plan_and_times_are_readable_before_apply(ready, monkeypatch):
     measured = expected_error(MedColorLib.Settings(preset=ready.parameters.preset), "embedded")
     assert len(ready.ui.planLabel.text.splitlines()) == 2
     assert ready.ui.planLabel.text.startswith("40 slices, about")
+    assert max(map(len, ready.ui.planLabel.text.splitlines())) < 60, "two lines on the screen, too"
     assert not shown_widget(ready.ui.planText)
     ready.ui.planDetailsButton.click()
     assert shown_widget(ready.ui.planText)

@@ -97,5 +97,5 @@ def test_self_test_passes_here_too(panel):
     assert not result.errors + result.failures, (result.errors + result.failures)[0][1]
     assert {test.id().rpartition(".")[2] for test, _reason in result.skipped} <= {
         "test_known_colors_in_the_3d_view", "test_comparison_layout", "test_samples_are_offered",
-        "test_cut_follows_the_red_slice",
+        "test_cut_follows_the_red_slice", "test_panel_live_preview_follows_the_slices",
     }  # fmt: skip

@@ -333,3 +333,28 @@ def test_apply_and_preview_take_the_tissue_labels(ready, library):
     ready.ui.labelsSelector.setCurrentNode(slicer.mrmlScene.AddNewNodeByClass("vtkMRMLSegmentationNode", "bare"))
     assert not ready.ui.applyButton.enabled
     assert "bare has no segments" in ready.ui.applyButton.toolTip
+
+
+# --- the worker ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("there", "within"), [(4, 3), (2, 2)], ids=["all cores", "fewer, as set"])
+def test_worker_leaves_a_core_to_the_window(ready, library, monkeypatch, there, within):
+    """And gives torch and OpenCV their threads back: they belong to the whole of Slicer."""
+    import cv2
+    import torch
+    from MedColorSlicer import running
+
+    monkeypatch.setattr(running.os, "cpu_count", lambda: 4)
+    before = torch.get_num_threads(), cv2.getNumThreads()
+    seen = []
+    library.in_the_middle = lambda: seen.append((torch.get_num_threads(), cv2.getNumThreads()))
+    torch.set_num_threads(there)
+    cv2.setNumThreads(there)
+    try:
+        ready.ui.applyButton.click()
+        assert seen == [(within, within)]
+        assert (torch.get_num_threads(), cv2.getNumThreads()) == (there, there)
+    finally:
+        torch.set_num_threads(before[0])
+        cv2.setNumThreads(before[1])

@@ -2,59 +2,17 @@
 
 from __future__ import annotations
 
-import mrml
 import numpy as np
 import pytest
 import slicer
 import vtk
-from host_fixtures import LEFT, RIGHT, color_node, two_colors
-
-SOLID = 0.88  # hardly anything shines through
-SIZE = 120  # pixels; software rendering takes a third of a second for such a picture
-
-
-@pytest.fixture(scope="module")
-def view(host):
-    return mrml.OffscreenView(host, "1", SIZE)
-
-
-@pytest.fixture(scope="module")
-def second_view(host, view):
-    return mrml.OffscreenView(host, "2", SIZE)
-
-
-@pytest.fixture
-def rendering_show(scene):
-    from MedColorSlicer import rendering_show
-
-    return rendering_show
-
-
-@pytest.fixture
-def rendering(scene):
-    from MedColorSlicer import rendering
-
-    return rendering
-
-
-def look(view, node):
-    bounds = [0.0] * 6
-    node.GetRASBounds(bounds)
-    view.make_plain()
-    view.look_at(bounds)
-    return view.render().astype(int)
+from host_fixtures import LEFT, RIGHT, SIZE, SOLID, color_node, look, sides, two_colors
 
 
 def unshaded(rendering, node):
     prop = rendering.display_node_of(node).GetVolumePropertyNode().GetVolumeProperty()
     prop.ShadeOff()
     return prop
-
-
-def sides(picture):
-    """Colours at the centres of the two halves; RAS x grows to the left of the picture, seen from behind."""
-    middle, beside = SIZE // 2, SIZE // 5
-    return picture[middle, middle + beside], picture[middle, middle - beside]
 
 
 def test_known_colors_come_out_as_themselves(view, rendering, rendering_show):
@@ -295,3 +253,22 @@ def test_self_test_of_the_3d_view_passes_here_too(host, view, rendering, monkeyp
     view.renderer.GetActiveCamera().SetParallelProjection(False)
     view.renderer.GetActiveCamera().SetViewAngle(30)
     MedColorTest("test_known_colors_in_the_3d_view").debug()
+
+
+@pytest.mark.parametrize("kind", ["any colours", "two colours", "black", "one colour"])
+def test_a_worker_measures_the_same_axis_as_slicer(scene, rendering, kind):
+    """In NumPy, luminance truncated as VTK's filter does; known afterwards until the voxels change."""
+    rgb = {
+        "any colours": np.random.default_rng(0).integers(0, 256, (40, 50, 60, 3), dtype=np.uint8),
+        "two colours": two_colors(24, 8),
+        "black": np.zeros((4, 5, 6, 3), np.uint8),
+        "one colour": np.full((4, 5, 6, 3), (1, 0, 2), np.uint8),
+    }[kind]
+    node = color_node(rgb)
+    node.SetSpacing(0.5, 1.5, 3.0)
+    measured = rendering._measured(node)
+    assert rendering.axis_of(rgb, node.GetSpacing()) == measured
+    rendering.know_axis(node, {"range": [0.0, 1.0], "unit_mm": 7.0})
+    assert rendering.measured_axis(node)["unit_mm"] == 7.0
+    slicer.util.updateVolumeFromArray(node, rgb)
+    assert rendering.measured_axis(node) == measured

@@ -190,12 +190,6 @@ def test_failed_confidence_leaves_nothing(nodes, scene, monkeypatch):
     assert node_ids(scene) == before
 
 
-def test_region_cuts_the_confidence_too(nodes):
-    cut = nodes.only_inside(with_confidence(grey_node()), ((1, 2), (0, 8), (0, 10)))
-    assert cut.confidence[1].all() and not cut.confidence[0].any() and not cut.confidence[2:].any()
-    assert nodes.only_inside(with_confidence(grey_node(), None), ((1, 2), (0, 8), (0, 10))).confidence is None
-
-
 def test_a_colour_picture_that_slicer_loads_is_a_reference(nodes, references, scene, host, tmp_path):
     """As Sample Data loads the cryosection: an archetype volume, one file. (The wheel reads no PNG.)"""
     import SimpleITK
@@ -278,7 +272,7 @@ def test_pictures_of_a_folder_in_order(references, tmp_path):
         (tmp_path / name).write_bytes(b"")
     assert [os.path.basename(path) for path in references.pictures_in(str(tmp_path))] == ["a.jpg", "b.PNG", "c.tiff"]
     assert references.pictures_in(str(tmp_path / "a.jpg")) == [str(tmp_path / "a.jpg")]
-    assert references.references_from(tmp_path) == [str(tmp_path)]
+    assert references.references_from(tmp_path) == ([str(tmp_path)], None)
 
 
 def test_folders_that_hold_no_reference(references, tmp_path):

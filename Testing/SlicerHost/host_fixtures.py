@@ -16,6 +16,8 @@ sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
 os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
 
 LEFT, RIGHT = (200, 120, 60), (60, 120, 200)
+SOLID = 0.88  # hardly anything shines through
+SIZE = 120  # pixels; software rendering takes a third of a second for such a picture
 
 
 @pytest.fixture(scope="session")
@@ -50,6 +52,38 @@ def scene(host):
     """An empty scene."""
     empty(host.scene)
     return host.scene
+
+
+@pytest.fixture(scope="session")
+def view(host):
+    """The 3-D view that Slicer calls 1."""
+    import mrml
+
+    return mrml.OffscreenView(host, "1", SIZE)
+
+
+@pytest.fixture(scope="session")
+def second_view(host, view):
+    """The 3-D view that Slicer calls 2."""
+    import mrml
+
+    return mrml.OffscreenView(host, "2", SIZE)
+
+
+@pytest.fixture
+def rendering_show(scene):
+    """The module's part of that name, over an empty scene."""
+    from MedColorSlicer import rendering_show
+
+    return rendering_show
+
+
+@pytest.fixture
+def rendering(scene):
+    """The module's part of that name, over an empty scene."""
+    from MedColorSlicer import rendering
+
+    return rendering
 
 
 def empty(scene):
@@ -97,6 +131,10 @@ class StandIn:
         rgb = np.zeros((*volume.array.shape, 3), np.uint8)
         rgb[..., :] = (150, 100, 50)
         rgb[volume.array == 0] = 0
+        if settings.region:
+            inside = np.zeros(rgb.shape[:3], bool)
+            inside[tuple(slice(*ends) for ends in settings.region)] = True
+            rgb[~inside] = 0
         self.finished += 1
         report = {"settings": settings.to_dict(), "made_by": "stand-in", **self.report}
         confidence = (volume.array != 0).astype(np.uint8) * 75 if settings.confidence else None
@@ -144,3 +182,18 @@ def two_colors(size=48, radius=18, left=LEFT, right=RIGHT):
 def node_ids(scene):
     """What is in a scene, to compare before and after."""
     return [scene.GetNthNode(n).GetID() for n in range(scene.GetNumberOfNodes())]
+
+
+def look(view, node):
+    """What a 3-D view draws of a node, seen from behind: (SIZE, SIZE, 3) int."""
+    bounds = [0.0] * 6
+    node.GetRASBounds(bounds)
+    view.make_plain()
+    view.look_at(bounds)
+    return view.render().astype(int)
+
+
+def sides(picture):
+    """Colours at the centres of the two halves; RAS x grows to the left of the picture, seen from behind."""
+    middle, beside = SIZE // 2, SIZE // 5
+    return picture[middle, middle + beside], picture[middle, middle - beside]

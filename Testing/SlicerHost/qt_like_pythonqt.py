@@ -80,6 +80,7 @@ class NodeComboBox(QtWidgets.QWidget):
     """qMRMLNodeComboBox over a real scene: filter by class, none entry, follows additions and removals."""
 
     currentNodeChanged = QtCore.Signal(object)
+    nodeAddedByUser = QtCore.Signal(object)
 
     def __init__(self, parent=None):
         super().__init__(parent)
@@ -138,6 +139,12 @@ class NodeComboBox(QtWidgets.QWidget):
             self._node = node
             self._refresh()
             self.currentNodeChanged.emit(node)
+
+    def addNode(self):
+        """What its entry "Create new ..." does."""
+        node = self._scene.AddNewNodeByClass(self._types[0])
+        self.setCurrentNode(node)
+        self.nodeAddedByUser.emit(node)
 
     def _on_activated(self, index):
         self.setCurrentNode(([None, *self.nodes()])[index])

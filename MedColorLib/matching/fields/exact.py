@@ -11,6 +11,8 @@ import math
 import torch
 from torch import Tensor
 
+from ...progress import check
+
 _EXCLUDED = -1e4  # far below any sum over a patch: at least -50 of features and grey; tissue groups add up to 6100
 _BLOCK_ENTRIES = 2**21  # similarities at a time on a CPU: 8 MB
 _GROUP = 64  # numbers of which the largest is found first, by a reduction that runs along memory
@@ -58,6 +60,7 @@ class PatchSums:
         """
         start, known = 0, 0  # rows of the target whose products are in `_raw`
         for first in range(0, self._height, self._rows):
+            check()
             stop = min(first + self._rows, self._height)
             low, high = max(first - self._radius, 0), min(stop + self._radius, self._height)
             kept = known - low

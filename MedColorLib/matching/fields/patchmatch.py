@@ -11,6 +11,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from ...progress import check
+
 _MARGIN = 1e-6  # a candidate must be better by this much of a unit similarity
 _CHUNK_BYTES = 64 << 20
 
@@ -29,6 +31,7 @@ def patch_similarity(target: Tensor, reference: Tensor, field: Tensor, radius: i
     for n in range(count):
         values = there[n if len(there) > 1 else 0]
         for top in range(0, height, rows):
+            check()
             bottom = min(height, top + rows)
             for dy in range(side):
                 for dx in range(side):

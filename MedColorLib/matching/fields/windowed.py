@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
+from ...progress import check
 from .patchmatch import patch_similarity
 
 BLOCK = 8
@@ -77,6 +78,7 @@ def _search_windows(blocks, reference, mask, top, left, sides, radius):
     chunk = max(1, most_bytes // per_block)
     found, score = [], []
     for first in range(0, len(blocks), chunk):
+        check()
         part = slice(first, first + chunk)
         windows = padded[(top[part] * stride + left[part])[:, None] + inside]
         product = torch.bmm(blocks[part], windows.transpose(1, 2))

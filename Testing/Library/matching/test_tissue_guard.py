@@ -190,9 +190,13 @@ class TestTogetherWith:
         keys = [run_key(prepare(scene.volume, [scene.picture], settings(), guard=g)) for g in guards]
         assert len(set(keys)) == len(keys)
         assert run_key(prepare(scene.volume, [scene.picture], settings(), guard=scene.guard())) == keys[1]
-        answers = iter([False] * 3 + [True])
+
+        def broken_off(_fraction, text):
+            if text.startswith("slice 2"):
+                raise Cancelled
+
         with pytest.raises(Cancelled):
-            scene.color(scene.guard(), settings(batch=1), cancelled=lambda: next(answers), resume=tmp_path)
+            scene.color(scene.guard(), settings(batch=1), progress=broken_off, resume=tmp_path)
         again = scene.color(scene.guard(), settings(batch=1), resume=tmp_path)
         assert again.report["resumed_slices"] > 0
         assert again.rgb.tobytes() == scene.color(scene.guard(), settings(batch=1)).rgb.tobytes()

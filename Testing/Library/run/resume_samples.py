@@ -17,15 +17,16 @@ def settings(**changes) -> Settings:
 
 
 def broken_off(after: int, *arguments, resume) -> None:
-    """Cancel before step `after` of the run."""
+    """Cancel before step `after` of the run, not inside one."""
     steps = []
+
+    def step(_fraction, text):
+        if len(steps) >= after:
+            raise Cancelled
+        steps.append(text)
+
     with pytest.raises(Cancelled):
-        colorize(
-            *arguments,
-            progress=lambda fraction, text: steps.append(text),
-            cancelled=lambda: len(steps) >= after,
-            resume=resume,
-        )
+        colorize(*arguments, progress=step, resume=resume)
 
 
 def files_of(folder: Path) -> list[Path]:

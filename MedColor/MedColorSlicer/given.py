@@ -1,0 +1,88 @@
+"""What a run is given: nodes, paths and arrays of the console and the panel become what the library takes. Copies all."""
+
+from __future__ import annotations
+
+import dataclasses
+
+from slicer.i18n import tr as _
+
+from . import labels as labels_of
+from . import references as references_of
+from . import scene
+
+
+@dataclasses.dataclass(frozen=True)
+class Given:
+    """Arguments of `MedColorLib.colorize`; nothing in it is a node."""
+
+    volume: object
+    pictures: list
+    settings: object
+    guard: object
+
+    def colorize(self, progress=None, cancelled=None):
+        """The computation; for a worker thread."""
+        import MedColorLib
+
+        return MedColorLib.colorize(self.volume, self.pictures, self.settings, progress, cancelled, guard=self.guard)
+
+    def plan(self):
+        """What `colorize` would do."""
+        import MedColorLib
+
+        return MedColorLib.make_plan(self.volume, self.pictures, self.settings, guard=self.guard)
+
+
+def take(  # the keywords are those of `MedColorLogic.process`
+    inputVolume,
+    references,
+    settings,
+    roi=None,
+    labels=None,
+    referenceLabels=None,
+    labelGroups=None,
+    body=None,
+    referenceMasks=None,
+) -> Given:
+    """See `MedColorLogic.process`.
+
+    Raises:
+        MedColorLib.errors.MedColorError: something that cannot be used; the message says what to do.
+    """
+    volume = scene.volume_from_node(inputVolume)
+    settings = scene.with_region(settings, scene.region_from_roi(roi, inputVolume), inputVolume)
+    if body is not None:
+        settings = dataclasses.replace(settings, body=labels_of.body_from(body, inputVolume))
+    pictures, masks = references_of.references_from(references, inputVolume, referenceMasks)
+    if masks is not None:
+        settings = dataclasses.replace(settings, reference_masks=masks)
+    guard = labels_of.guard_from(labels, inputVolume, referenceLabels, labelGroups)
+    return Given(volume, pictures, settings, guard)
+
+
+def settings_of(settings, options):
+    """Settings with fields replaced by name.
+
+    Raises:
+        MedColorLib.errors.SettingsError: no such field, or a wrong value.
+    """
+    import MedColorLib
+    from MedColorLib.errors import SettingsError
+
+    fields = {field.name for field in dataclasses.fields(MedColorLib.Settings)}
+    unknown = sorted(set(options) - fields)
+    if unknown:
+        raise SettingsError(
+            _("There is no setting {unknown}; there are {known}.").format(
+                unknown=", ".join(unknown), known=", ".join(sorted(fields))
+            )
+        )
+    return dataclasses.replace(settings, **options) if settings else MedColorLib.Settings(**options)
+
+
+def draft(settings, slices):
+    """Settings at draft quality; options go with their smoother, which another preset may replace."""
+    quick = dataclasses.replace(settings, preset="draft", slices=slices, smoother_options=None, confidence=False)
+    if quick.resolved_smoother == settings.resolved_smoother:
+        quick = dataclasses.replace(quick, smoother_options=settings.smoother_options)
+    return quick

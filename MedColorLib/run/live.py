@@ -1,0 +1,285 @@
+"""Slices coloured as they are looked at: what takes time is kept, so that only the last stage is done again.
+
+At draft quality, with MedColor's own features and the regression, each slice by itself. A transverse slice is matched and
+painted as in a run. Slices across the stack have no photograph of their own: their colour is read, pixel by pixel, from what
+the nearest transverse slices said of place and grey (`filters.regression`). After another lightness only the painting is new;
+after another exposure the matches stay, since the own features see no contrast.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, NamedTuple, cast
+
+import numpy as np
+
+from ..parameters import Settings
+from ..progress import Run
+from ..volume import Volume
+from .engine import Engine, ReferenceOnGrid
+from .prepare import prepare
+
+if TYPE_CHECKING:
+    from ..matching.analogy import Match
+    from .resume import RunStore
+
+STEP_MM = 4.0  # between the transverse slices that slices across the stack are coloured from
+MOST_SLICES = 96  # of those
+
+
+@dataclass(frozen=True)
+class Look:
+    """What may change from picture to picture. lightness, exposure: as in `Settings`."""
+
+    lightness: float = Settings.lightness
+    exposure: str | float = Settings.exposure
+
+
+class Evidence(NamedTuple):
+    """What one transverse slice says of colour; see `coloring.transfer`. kept: 0..1, the share of its colour that it keeps."""
+
+    relation: np.ndarray
+    rest: np.ndarray
+    kept: float
+
+
+class Matches:
+    """Matches in memory, as `resume.RunStore` keeps them on disk."""
+
+    def __init__(self) -> None:
+        self._found: dict[tuple, Match] = {}
+
+    def load(self, slices: Sequence[int], reference: int, device: str) -> Match | None:
+        """The match of this batch of slices with a reference, or None."""
+        return self._found.get((*slices, reference))
+
+    def save(self, slices: Sequence[int], reference: int, match: Match) -> None:
+        """Keep a match."""
+        self._found[(*slices, reference)] = match
+
+
+class LiveSlices:
+    """Colours of single slices of a volume, along any axis of its array.
+
+    >>> from MedColorLib.phantom import sample
+    >>> volume, picture = sample()
+    >>> live = LiveSlices(volume, [picture])
+    >>> live.plane(0, 24).shape, live.plane(2, 50, Look(lightness=0.5)).shape
+    ((128, 112, 3), (48, 128, 3))
+    """
+
+    def __init__(
+        self,
+        volume: Volume,
+        references: Sequence,
+        settings: Settings | None = None,
+        cancelled: Callable[[], bool] | None = None,
+    ) -> None:
+        """Args as for `pipeline.colorize`; preset, features, smoother and slices of the settings are not used.
+
+        Raises:
+            As `colorize`.
+        """
+        self.cancelled = cancelled  # may be exchanged between two slices
+        self._run = Run(None, lambda: bool(self.cancelled and self.cancelled()))
+        self._sources = references
+        self._settings = _quick(settings or Settings())
+        self._run.step(0.0, "preparing")
+        with self._run.timed("prepare"):
+            self._prepared = prepare(volume, references, self._settings)
+        self._view = self._prepared.order.view(volume.array)
+        self._run.step(0.0, "features")
+        self._engine = Engine(self._prepared, self._run, cast("RunStore", Matches()))
+        self._plain: Sequence | None = None  # the references as they are, once an exposure was changed
+        self._exposure: str | float | None = self._settings.exposure
+        self._evidence: dict[int, Evidence] = {}
+        self._smooth: np.ndarray | None = None
+
+    def plane(self, axis: int, index: int, look: Look | None = None) -> np.ndarray:
+        """One slice in colour.
+
+        Args:
+            axis: of the volume's array (k, j, i), 0, 1 or 2, along which the slice is the index-th.
+
+        Returns:
+            uint8 sRGB with the other two axes of the array, in their order, and (red, green, blue); black outside the body.
+
+        Raises:
+            Cancelled
+        """
+        look = look or Look()
+        self._expose(look.exposure)
+        order = self._prepared.order
+        seen = order.axes.index(axis)
+        number = self._view.shape[seen] - 1 - index if order.flips[seen] else index
+        rgb = self._transverse(number, look) if seen == 0 else self._across(seen, number, look)
+        left = [n for n in range(3) if n != seen]
+        rgb = rgb[tuple(slice(None, None, -1 if order.flips[n] else 1) for n in left)]
+        return rgb if order.axes[left[0]] < order.axes[left[1]] else rgb.swapaxes(0, 1)
+
+    def _expose(self, exposure: str | float) -> None:
+        """Bring the references into another exposure, and learn anew what their grey means."""
+        if exposure == self._exposure:
+            return
+        from ..references.exposure import expose
+        from ..references.loading import load_references
+
+        if self._plain is None:
+            self._plain = load_references(self._sources, "off", self._settings.reference_masks)
+        self._evidence.clear()
+        self._smooth = None
+        self._exposure = None  # should it be cancelled half way
+        for n, reference in enumerate(expose(self._plain, exposure)):
+            self._run.step(0.0, "exposure")
+            self._exchange(n, reference)
+        self._exposure = exposure
+
+    def _exchange(self, n: int, reference) -> None:
+        """The same photograph in another exposure: it lies as before, and its features stay."""
+        engine = self._engine
+        new = ReferenceOnGrid(reference, engine.grid)
+        new.turn(engine.references[n].lie)
+        engine.references[n] = new
+        if n in engine.choice.values():
+            engine._learn_contrast(n)
+
+    def _parameters(self, look: Look):
+        from ..coloring.transfer import TransferParameters
+
+        settings = self._settings
+        curve = self._engine.guide_curve
+        return TransferParameters(
+            "regression", settings.luminance, settings.resolved_gamma, curve, settings.smoother_options, look.lightness
+        )
+
+    def _of_slice(self, k: int) -> Evidence:
+        """Match a transverse slice, or take what is known of it."""
+        if k not in self._evidence:
+            from ..coloring.transfer import SliceMatch, relation_sums, remainder, solve_relation
+            from ..matching.confidence import saturation
+
+            self._run.step(0.0, "matching")
+            greys, masks, lab, trusts = self._engine.match([k], self._engine.choice[k])
+            parameters, match = self._parameters(Look()), SliceMatch(lab[0], greys[0], masks[0], trusts[0])
+            relation = solve_relation(relation_sums(match, parameters), parameters)
+            rest = remainder(match, relation, parameters)
+            self._evidence[k] = Evidence(relation, rest, saturation(float(trusts[0].mean)))
+        return self._evidence[k]
+
+    def _transverse(self, k: int, look: Look) -> np.ndarray:
+        from ..coloring.transfer import combine, to_picture
+
+        out = np.zeros((*self._view.shape[1:], 3), np.uint8)
+        if k not in self._engine.choice:
+            return out
+        own = self._of_slice(k)
+        grey, mask = self._engine.slice_in_box(k)[0], self._engine.painted_in_box(k)
+        lab = combine(grey, mask, own.relation, own.rest, self._parameters(look), saturation=own.kept)
+        j0, j1, i0, i1 = self._prepared.body.boxes[k]
+        out[j0:j1, i0:i1] = to_picture(lab, mask)[0]
+        return self._in_region(out, 0)
+
+    def _across(self, seen: int, number: int, look: Look) -> np.ndarray:
+        """(slice, column or row, 3): a slice at a row (seen 1) or a column (seen 2) of the stack."""
+        from ..coloring.natural import without_noise
+        from ..coloring.transfer import colors_of, to_picture
+        from ..scan.intensity import apply_window
+
+        parameters = self._parameters(look)
+        values = np.take(self._view, number, axis=seen)
+        grey, mask = apply_window(values, self._prepared.window), self._body_across(seen, number, values)
+        out = np.zeros((*values.shape, 3), np.uint8)
+        if not mask.any():
+            return out
+        read = without_noise(grey) if parameters.luminance == "natural" else grey
+        change, kept = self._guess(seen, number, read, parameters)
+        out[mask] = to_picture(colors_of(grey, mask, change, parameters, kept), mask)[0][mask]
+        return self._in_region(out, seen)
+
+    def _guess(self, seen: int, number: int, read: np.ndarray, parameters) -> tuple[np.ndarray, float]:
+        """What the transverse slices around say of each pixel, and the mean share of colour that they keep."""
+        from ..coloring.transfer import spread_guide
+        from ..filters.regression import predict_at
+
+        witnesses, boxes = self._witnesses(), self._prepared.body.boxes
+        relations = self._relations(witnesses)
+        guide = spread_guide(read, parameters)
+        change = np.zeros((*read.shape, relations.shape[-1]), np.float32)
+        for n in range(len(witnesses)):
+            share = _shares(witnesses, n, len(read)) * (boxes[:, 1] > boxes[:, 0])
+            lines = np.flatnonzero(share)
+            if not lines.size:
+                continue
+            low, high = boxes[lines][:, [0, 2]].T, boxes[lines][:, [1, 3]].T
+            fixed = ((number + 0.5 - low[seen - 1]) / (high[seen - 1] - low[seen - 1]))[:, None]
+            other = 2 - seen
+            moving = (np.arange(read.shape[1]) + 0.5 - low[other][:, None]) / (high[other] - low[other])[:, None]
+            place = (fixed, moving) if seen == 1 else (moving, fixed)
+            change[lines] += predict_at(relations[n], *place, guide[lines]) * share[lines, None, None]
+        return change, float(np.mean([self._of_slice(k).kept for k in witnesses]))
+
+    def _relations(self, witnesses: Sequence[int]) -> np.ndarray:
+        """(witness, ...) what they say, averaged along the stack as in a run."""
+        if self._smooth is None:
+            from scipy.ndimage import gaussian_filter1d
+
+            found = np.stack([self._of_slice(k).relation for k in witnesses])
+            apart = np.diff(witnesses).mean() if len(witnesses) > 1 else 1.0
+            sigma = self._settings.coherence_mm / max(apart * self._prepared.slice_spacing_mm, 1e-6)
+            self._smooth = gaussian_filter1d(found, sigma, axis=0, mode="nearest") if sigma > 0 else found
+        return self._smooth
+
+    def _witnesses(self) -> list[int]:
+        """Transverse slices spread along the stack."""
+        chosen = sorted(self._engine.choice)
+        step = max(1, round(STEP_MM / max(self._prepared.slice_spacing_mm, 1e-6)), -(-len(chosen) // MOST_SLICES))
+        return chosen[step // 2 :: step] or chosen[:1]
+
+    def _body_across(self, seen: int, number: int, values: np.ndarray) -> np.ndarray:
+        """`Body.painted` of a slice across the stack; only the slices that a run would colour."""
+        import cv2
+
+        body, chosen = self._prepared.body, np.zeros((len(values), 1), bool)
+        chosen[list(self._engine.choice)] = True
+        if body.given is not None:
+            return (np.take(body.given, number, axis=seen) != 0) & chosen
+        size = body.coarse.shape[seen]
+        at = min(int((number + 0.5) * size / self._view.shape[seen]), size - 1)
+        own = np.take(body.coarse, at, axis=seen).astype(np.uint8)
+        beside = np.take(body.coarse, range(max(at - 1, 0), min(at + 2, size)), axis=seen)
+        wide = cv2.dilate(np.asarray(beside.any(axis=seen), np.uint8), np.ones((3, 3), np.uint8))
+        cover, rim = (
+            cv2.resize(plane.astype(np.float32), values.shape[::-1], interpolation=cv2.INTER_LINEAR) > 0.5
+            for plane in (own, wide)
+        )
+        return (cover | (rim & (values > body.threshold))) & chosen
+
+    def _in_region(self, rgb: np.ndarray, seen: int) -> np.ndarray:
+        """Black outside the region that was asked for."""
+        ranges = [ends for n, ends in enumerate(self._prepared.region) if n != seen]
+        inside = np.zeros(rgb.shape[:2], bool)
+        inside[tuple(slice(*ends) for ends in ranges)] = True
+        rgb[~inside] = 0
+        return rgb
+
+
+def _quick(settings: Settings) -> Settings:
+    own = settings.resolved_smoother == "regression"
+    return replace(
+        settings,
+        preset="draft",
+        features="embedded",
+        smoother="regression",
+        smoother_options=settings.smoother_options if own else None,
+        slices=None,
+        confidence=False,
+        reconstruction="warp",
+    )
+
+
+def _shares(witnesses: Sequence[int], n: int, count: int) -> np.ndarray:
+    """(count,) float32: how much witness n says of each slice: linear between two of them, the ends continued."""
+    one = np.zeros(len(witnesses), np.float32)
+    one[n] = 1.0
+    return np.interp(np.arange(count), witnesses, one).astype(np.float32)
