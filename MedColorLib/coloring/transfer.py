@@ -240,7 +240,7 @@ def colors_of(
     Args:
         guess: (rows, cols, c) what a relation says of the pixels: a*, b* and, with natural luminance first, L*.
     """
-    guess = guess.copy()
+    guess = guess[mask]
     guess[..., -2:] *= saturation
     return _out_of_transfer(grey, mask, guess, parameters, saturation * parameters.lightness)
 
