@@ -10,6 +10,7 @@ from ..errors import InputError
 from ..io.colors import read_colors
 from ..io.voxel_data import title
 from ..scan.slices import slice_order
+from ..volume import ColorVolume
 from .photograph import Frame, Reference
 
 COLOR_SUFFIXES = (".nrrd", ".nhdr", ".nii", ".nii.gz", ".mha", ".mhd")
@@ -28,7 +29,9 @@ def read_sections(path: str | Path) -> list[Reference]:
     if not path.is_file():
         raise InputError(f"reference: no file {path}")
     try:
-        values, ijk_to_ras = read_colors(path, MAX_BYTES)
+        with np.errstate(all="ignore"):  # numbers of damaged headers overflow; `ColorVolume` refuses what comes of it
+            values, ijk_to_ras = read_colors(path, MAX_BYTES)
+            ColorVolume(values[..., :3], ijk_to_ras)
     except InputError as error:
         raise InputError(f"reference {path.name}: {' '.join(str(error).split())}") from error
     except OSError as error:
