@@ -147,10 +147,15 @@ class LiveSlices:
     def _parameters(self, look: Look):
         from ..coloring.transfer import TransferParameters
 
-        settings = self._settings
-        curve = self._engine.guide_curve
+        settings, engine = self._settings, self._engine
         return TransferParameters(
-            "regression", settings.luminance, settings.resolved_gamma, curve, settings.smoother_options, look.lightness
+            "regression",
+            settings.luminance,
+            settings.resolved_gamma,
+            engine.guide_curve,
+            engine.smoother_options,
+            look.lightness,
+            engine.one_tissue,
         )
 
     def _of_slice(self, k: int) -> Evidence:
