@@ -45,6 +45,16 @@ def files(ct, tmp_path, monkeypatch):
     return lambda: {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*")} - before
 
 
+@pytest.fixture
+def default_signals():
+    """As in the foreground: under nohup SIGHUP is ignored, and stays so."""
+    former = {number: signal.signal(number, signal.SIG_DFL) for number in SIGNALS}
+    yield
+    for number, handler in former.items():
+        signal.signal(number, handler)
+
+
+@pytest.mark.usefixtures("default_signals")
 class TestSignals:
     @pytest.mark.parametrize("number", SIGNALS)
     def test_while_computing_and_while_writing(self, files, number, monkeypatch, capfd):
