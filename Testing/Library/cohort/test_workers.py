@@ -160,7 +160,7 @@ class TestKilledInTheMiddle:
         command = [sys.executable, "-m", "MedColorLib", "batch", "in", *OPTIONS, "-o", "out", "--workers", "2"]
         environment = {**os.environ, "PYTHONPATH": str(ROOT)}
         pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-        run = subprocess.Popen(command, env=environment, start_new_session=True, **pipes)
+        run = subprocess.Popen(command, env=environment, start_new_session=True, preexec_fn=_heed_ctrl_c, **pipes)  # noqa: PLW1509
         while not list(Path("out").rglob("*-colored.json")):
             assert run.poll() is None
             time.sleep(0.002)
@@ -177,6 +177,11 @@ class TestKilledInTheMiddle:
     def as_said(self) -> Settings:
         """The settings that the summary names."""
         return Settings.from_dict(json.loads(Path("out/batch.json").read_text())["settings"])
+
+
+def _heed_ctrl_c() -> None:
+    """As in the foreground: what a shell starts in the background ignores it."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 def alive(pid: int) -> bool:
