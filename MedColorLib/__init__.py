@@ -29,7 +29,7 @@ holds the files of one stage or the choice of alternatives:
 | colour spaces | `color/` | sRGB, L*a*b*, differences, gamut |
 | rendering | `rendering/` | `ColorVolume` -> pictures |
 | words | `volume`, `parameters`, `plan`, `progress`, `report`, `device`, `errors` | what every stage speaks of |
-| sample | `phantom` | a head by formula: CT, MR and photographs of one anatomy, whose truth is known |
+| sample | `phantom/` | a head by formula: CT, MR and photographs of one anatomy, whose truth is known |
 
 `pipeline.colorize` is the map: one call per stage. Nothing heavy is imported until it is used.
 

@@ -17,7 +17,7 @@ TABLE = Path(__file__).with_name("expected_error.json")
 # warps. It gives no place in the range: with VGG-19 its correlation with the error over these pairs is 0.08, and real scans lie
 # below them all (own features, VGG-19: slices of a CT head after a photograph of the same head 0.45, 0.64; of an MR head after
 # another's 0.28, 0.41; of the CT head after a thorax 0.24, 0.17).
-LEAST_TRUSTED = {"embedded": 0.81, "vgg19": 0.76}
+LEAST_TRUSTED = {"embedded": 0.80, "vgg19": 0.76}
 NOT_MEASURED = "not measured by the benchmark for these settings"
 
 

@@ -162,10 +162,10 @@ def test_same_equation_with_the_regression_for_the_guess():
 
 
 def test_natural_lightness_takes_a_share_of_the_remainder_and_colour_all_of_it(monkeypatch):
-    """The less the matches are trusted the less of it: the photograph's edges lie a little beside the scan's."""
+    """Where a grey is one tissue. The less the matches are trusted the less of it: edges lie a little beside the scan's."""
     grey, mask, _ = arguments()
     match = match_of(matched_two(to_grid(grey, GRID)) + np.random.default_rng(1).normal(0, 3, (64, 64, 3)), grey)
-    parameters = TransferParameters("regression", "natural", False)
+    parameters = TransferParameters("regression", "natural", False, one_tissue=1.0)
 
     def with_share(share, trust=1.0):
         monkeypatch.setattr("MedColorLib.coloring.transfer.LIGHTNESS_SHARE", share)
