@@ -9,13 +9,12 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from ..device import one_thread
+from ..device import side_by_side
 from ..errors import InputError, SettingsError, WeightsError
 from . import OWN_WEIGHTS, own_weights_sha256
 
@@ -75,11 +74,8 @@ class Contrast:
 
     def _one_by_one(self, luminance: Tensor) -> Tensor:
         """Pictures side by side, each on one thread: the same bits whatever else is in the batch and however many threads."""
-        pictures = luminance[:, None].unbind()
-        if torch.get_num_threads() == 1:
-            return torch.cat([self._through(picture) for picture in pictures])
-        with ThreadPoolExecutor(torch.get_num_threads(), "MedColor features") as pool, one_thread():
-            return torch.cat(list(pool.map(self._through, pictures)))
+        with side_by_side() as each:
+            return torch.cat(list(each(self._through, luminance[:, None].unbind())))
 
     def descriptor(self, luminance: Tensor) -> Tensor:
         """(N, 1, H, W) -> (N, 2048): the features on an 8 x 8 raster of the slice, unit length."""

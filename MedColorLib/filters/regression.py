@@ -38,7 +38,7 @@ class RegressionParameters:
         4.0,
         0,
         1e9,
-        "Evidence at which a neighbourhood counts as much as the larger ones around it; unless given, up to 64 px for MR.",
+        "Evidence at which a neighbourhood counts as much as the larger ones around it; if not given, up to 64 for MR.",
         "px",
         above_low=True,
     )

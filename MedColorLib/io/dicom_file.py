@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import io
 import itertools
-import logging
-import warnings
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from ..errors import MissingPackageError
+from .quiet import quiet_package
 
 DICOM_ENDINGS = (".dcm", ".dicom", ".ima")
 NATIVE = ("1.2.840.10008.1.2", "1.2.840.10008.1.2.1", "1.2.840.10008.1.2.2")  # implicit, explicit, big endian
@@ -57,14 +56,8 @@ def quiet_pydicom() -> Iterator[None]:
         import pydicom  # noqa: F401
     except ImportError as error:
         raise MissingPackageError("DICOM needs the package pydicom: pip install pydicom") from error
-    logger = logging.getLogger("pydicom")
-    before, logger.disabled = logger.disabled, True
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            yield
-    finally:
-        logger.disabled = before
+    with quiet_package("pydicom"):
+        yield
 
 
 def read_header(path: Path) -> tuple:

@@ -60,9 +60,9 @@ def quiet_stderr() -> Iterator[None]:
 
 
 @contextmanager
-def quiet_tifffile() -> Iterator[None]:
-    """Keep tifffile's complaints about damaged files out of the log; what it cannot read becomes an `InputError`."""
-    logger = logging.getLogger("tifffile")
+def quiet_package(name: str) -> Iterator[None]:
+    """Keep what a package (tifffile, pydicom) says of odd files out of the log; what matters is checked and said by us."""
+    logger = logging.getLogger(name)
     before, logger.disabled = logger.disabled, True
     try:
         with warnings.catch_warnings():

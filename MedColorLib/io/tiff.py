@@ -15,7 +15,7 @@ import numpy as np
 from ..errors import InputError, MissingPackageError
 from .choice import checked_count
 from .grey import grey_of
-from .quiet import quiet_cv2, quiet_tifffile
+from .quiet import quiet_cv2, quiet_package
 from .tiff_spacing import spacing_mm
 from .voxel_data import IS_TRUNCATED, check_size
 
@@ -56,7 +56,7 @@ def _opened(path: Path) -> Iterator:
     except ImportError as error:
         raise MissingPackageError("TIFF needs the package tifffile: pip install tifffile") from error
     try:
-        with quiet_tifffile(), path.open("rb") as stream:
+        with quiet_package("tifffile"), path.open("rb") as stream:
             with tifffile.TiffFile(stream, name=path.name, _multifile=False) as file:
                 len(file.pages)  # counts them, and so notices pages that lead round in a circle; reading on would not
                 if not (file.is_ome and any(page is None for series in file.series for page in series.pages)):

@@ -18,7 +18,7 @@ import numpy as np
 from ..device import is_out_of_memory
 from ..errors import InputError
 from ..io.label_picture import has_whole_chunks
-from ..io.quiet import quiet_cv2, quiet_stderr, quiet_tifffile
+from ..io.quiet import quiet_cv2, quiet_package, quiet_stderr
 from .to_srgb import TAG_GROUPS
 
 if TYPE_CHECKING:
@@ -131,7 +131,7 @@ def _tiff_tags(stream: BinaryIO) -> dict:
     import tifffile
 
     stream.seek(0)
-    with decoding(), quiet_tifffile(), tifffile.TiffFile(stream, is_ome=False, _multifile=False) as file:
+    with decoding(), quiet_package("tifffile"), tifffile.TiffFile(stream, is_ome=False, _multifile=False) as file:
         return {tag.code: tag.value for tag in file.pages[0].tags}
 
 
@@ -140,7 +140,7 @@ def _from_planes(stream: BinaryIO) -> np.ndarray:
     import tifffile
 
     stream.seek(0)
-    with decoding(), quiet_tifffile():
+    with decoding(), quiet_package("tifffile"):
         try:
             with tifffile.TiffFile(stream, is_ome=False, _multifile=False) as file:
                 planes = file.pages[0].asarray(maxworkers=1)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,6 +29,7 @@ from .prepare import Prepared
 if TYPE_CHECKING:
     from torch import Tensor
 
+    from ..coloring.transfer import TransferParameters
     from ..device import Each
     from ..matching.analogy import Match
     from .resume import RunStore
@@ -58,11 +60,9 @@ class Engine:
         self.stop_layer, self.uses_context = preset.stop_layer, preset.context
         self.components = self.settings.components
         self.own_features = prepared.plan.features == "embedded"
-        self.apart = (
-            self.own_features and self.device == "cpu"
-        )  # each slice on a thread; a large network takes them together
+        # each slice on a thread of its own; a large network takes them together
+        self.apart = self.own_features and self.device == "cpu"
         self.layers = (OWN_LAYER,) if self.own_features else tuple(range(5, self.stop_layer - 1, -1))
-        self.grey_tells = self._grey_tells()
         self.extractor = make_extractor(prepared.plan.features, self.device)
         self.reconstruct = make_reconstruction(self.settings.reconstruction, self.extractor)
         pictures = prepared.groups.pictures if prepared.groups else (None,) * len(prepared.references)
@@ -71,10 +71,7 @@ class Engine:
         self._features: dict[int, ReferenceFeatures] = {}
         self.kept: dict[int, bool] = {}
         self.energy: dict[int, dict[int, float]] = {}  # reference -> layer -> share of the features in their components
-        with (
-            run.timed("orientation"),
-            one_thread(),
-        ):  # small arrays: what does not depend on each other goes through `each`
+        with run.timed("orientation"), one_thread():  # small arrays: what can go side by side goes through `each`
             self._turn_references()
         self.choice = self._choose_references()
         self.reference_warnings = reference_warnings(prepared, self.references, self.choice)
@@ -83,7 +80,6 @@ class Engine:
         with run.timed("contrast"):
             for index in sorted(set(self.choice.values())):
                 self._learn_contrast(index)
-        self.smoother_options = self._smoother_options()
 
     def slice_on_grid(self, k: int) -> tuple[np.ndarray, np.ndarray]:
         """Display grey and body mask (H, W) of slice k on the grid."""
@@ -325,7 +321,8 @@ class Engine:
         chosen, reach = self.prepared.plan.slices, round(NEAR_MM / self.prepared.slice_spacing_mm)
         return [int(k) for k in self.prepared.body.slices if chosen[0] - reach <= k <= chosen[-1] + reach]
 
-    def _grey_tells(self) -> float:
+    @cached_property
+    def grey_tells(self) -> float:
         """0..1, how far grey tells tissue in this scan, whichever slices are asked for; see `usual.grey_tells_tissue`."""
         from ..matching.usual import grey_tells_tissue
 
@@ -336,16 +333,47 @@ class Engine:
             inside.append(grey[few][cover[few] > 0.5])
         return grey_tells_tissue(np.concatenate(inside))
 
+    def transfer_parameters(self, lightness: float | None = None) -> TransferParameters:
+        """How colours are brought onto slices of this scan. lightness: instead of the settings'."""
+        from ..coloring.transfer import TransferParameters
+
+        settings = self.settings
+        return TransferParameters(
+            self.prepared.plan.smoother,
+            settings.luminance,
+            settings.resolved_gamma,
+            self.guide_curve,
+            self.smoother_options,
+            settings.lightness if lightness is None else lightness,
+            self.one_tissue,
+        )
+
+    @property
+    def smoother_options(self) -> dict | None:
+        """The settings' options, and for the regression of own matches the support that they ask for."""
+        from ..matching.usual import support_px
+
+        options = self.settings.smoother_options or {}
+        if not self._own_relation or "support_px" in options:
+            return self.settings.smoother_options
+        return {**options, "support_px": round(support_px(self.grey_tells, self._contrast_trust), 1)}
+
     @property
     def one_tissue(self) -> float:
         """How far a grey is taken for one tissue all over a slice; measured for the own features alone.
 
         Less where matches tell grey (`contrast.Contrast.trust`), as in the chest: they know better than a slice as a whole.
         """
-        if not self.own_features:
-            return 0.0
-        trust = [self.references[i].contrast.trust for i in set(self.choice.values())]
-        return self.grey_tells**2 * (1 - float(np.mean(trust)))
+        return self.grey_tells**2 * (1 - self._contrast_trust) if self._own_relation else 0.0
+
+    @property
+    def _own_relation(self) -> bool:
+        """Whether colour is a function of place and grey that is learned from matches of the own features."""
+        return self.own_features and self.prepared.plan.smoother == "regression"
+
+    @property
+    def _contrast_trust(self) -> float:
+        return float(np.mean([self.references[i].contrast.trust for i in set(self.choice.values())]))
 
     def _spread_guide(self) -> np.ndarray:
         boxes = [self.slice_in_box(k) for k in sample_slices(self.prepared.plan.slices)]
@@ -378,7 +406,7 @@ class Engine:
     def _learn_from_own_matches(self, index: int, greys: np.ndarray, masks: np.ndarray) -> None:
         """What grey means, and its usual colours, from matches of slices (S, H, W); one at a time, for the memory's sake."""
         from ..matching.contrast import seen_contrast, seen_luminance
-        from ..matching.usual import support_px, usual_colors
+        from ..matching.usual import usual_colors
         from ..matching.vote import matched_colors
 
         reference = self.references[index]
@@ -393,17 +421,6 @@ class Engine:
         seen, colors = (np.stack(values) for values in zip(*each(matched, greys, masks)))
         reference.contrast = seen_contrast(greys, masks, seen)
         reference.usual = usual_colors(greys[masks], colors[masks])
-        reference.support_px = support_px(self.grey_tells, reference.contrast.trust)
-
-    def _smoother_options(self) -> dict | None:
-        """The settings' options, and for the regression the support that the scan asks for."""
-        options, used = self.settings.smoother_options or {}, sorted(set(self.choice.values()))
-        needed = [s for s in (self.references[i].support_px for i in used) if s is not None]
-        if self.prepared.plan.smoother != "regression" or "support_px" in options or not needed:
-            return self.settings.smoother_options
-        support = round(float(np.mean(needed)), 1)
-        log.info("neighbourhoods of the regression need %g px of evidence", support)
-        return {**options, "support_px": support}
 
     def _choose_references(self) -> dict[int, int]:
         """Slice -> index of its reference: the only one, or by likeness (cosine of descriptors) and order."""

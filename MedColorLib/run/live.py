@@ -144,20 +144,6 @@ class LiveSlices:
         if n in engine.choice.values():
             engine._learn_contrast(n)
 
-    def _parameters(self, look: Look):
-        from ..coloring.transfer import TransferParameters
-
-        settings, engine = self._settings, self._engine
-        return TransferParameters(
-            "regression",
-            settings.luminance,
-            settings.resolved_gamma,
-            engine.guide_curve,
-            engine.smoother_options,
-            look.lightness,
-            engine.one_tissue,
-        )
-
     def _of_slice(self, k: int) -> Evidence:
         """Match a transverse slice, or take what is known of it."""
         if k not in self._evidence:
@@ -166,7 +152,7 @@ class LiveSlices:
 
             self._run.step(0.0, "matching")
             greys, masks, lab, trusts = self._engine.match([k], self._engine.choice[k])
-            parameters, match = self._parameters(Look()), SliceMatch(lab[0], greys[0], masks[0], trusts[0])
+            parameters, match = self._engine.transfer_parameters(), SliceMatch(lab[0], greys[0], masks[0], trusts[0])
             relation = solve_relation(relation_sums(match, parameters), parameters)
             rest = remainder(match, relation, parameters)
             self._evidence[k] = Evidence(relation, rest, saturation(float(trusts[0].mean)))
@@ -180,7 +166,9 @@ class LiveSlices:
             return out
         own = self._of_slice(k)
         grey, mask = self._engine.slice_in_box(k)[0], self._engine.painted_in_box(k)
-        lab = combine(grey, mask, own.relation, own.rest, self._parameters(look), saturation=own.kept)
+        lab = combine(
+            grey, mask, own.relation, own.rest, self._engine.transfer_parameters(look.lightness), saturation=own.kept
+        )
         j0, j1, i0, i1 = self._prepared.body.boxes[k]
         out[j0:j1, i0:i1] = to_picture(lab, mask)[0]
         return self._in_region(out, 0)
@@ -191,7 +179,7 @@ class LiveSlices:
         from ..coloring.transfer import colors_of, to_picture
         from ..scan.intensity import apply_window
 
-        parameters = self._parameters(look)
+        parameters = self._engine.transfer_parameters(look.lightness)
         values = np.take(self._view, number, axis=seen)
         grey, mask = apply_window(values, self._prepared.window), self._body_across(seen, number, values)
         out = np.zeros((*values.shape, 3), np.uint8)

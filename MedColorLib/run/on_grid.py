@@ -32,7 +32,7 @@ class ReferenceOnGrid:
         if groups is not None:
             self.lab, self.groups = colors_on_grid(groups, reference, grid, self.mask)
         self.lie: Lie | None = None
-        self.contrast = self.usual = self.support_px = None
+        self.contrast = self.usual = None
 
     @property
     def way(self) -> str:

@@ -55,7 +55,6 @@ class Painter:
         each: how work on several slices is done that do not depend on each other; see `device.side_by_side`.
         """
         from ..coloring.coherence import SliceAverage, frames
-        from ..coloring.transfer import TransferParameters
 
         settings, plan = prepared.settings, prepared.plan
         self.clipped = self.bent = 0
@@ -64,16 +63,7 @@ class Painter:
         self.saturation: dict[int, float] = {}
         self._engine, self._stack, self._confidence, self._boxes = engine, stack, confidence, prepared.body.boxes
         self._weighs = settings.weighs_matches
-        options = engine.smoother_options
-        self._parameters = TransferParameters(
-            plan.smoother,
-            settings.luminance,
-            settings.resolved_gamma,
-            engine.guide_curve,
-            options,
-            settings.lightness,
-            engine.one_tissue,
-        )
+        self._parameters = engine.transfer_parameters()
         spacing, sigma = prepared.slice_spacing_mm, settings.coherence_mm
         self._groups = prepared.groups
         names = (None,) if self._groups is None else range(len(self._groups))

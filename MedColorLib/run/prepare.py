@@ -149,24 +149,22 @@ def _plan(volume, settings, order, view, body, chosen, window, references, grid,
         "matching": f"both directions, exhaustive{searched}",
         "coherence": _coherence(settings, order, volume, len(chosen)),
         **_blending(references, len(chosen)),
-        "colour": f"{smoother}, {_smoother_values(settings)}; luminance {luminance}; gamma {gamma}",
+        "colour": f"{smoother}, {_smoother_values(settings, features)}; luminance {luminance}; gamma {gamma}",
     }
     left_out = _left_out(settings, preset, smoother, features, view, body, chosen, references, repeats, cropped)
     warnings = tuple(filter(None, [body.left_outside and body.left_outside.warning()]))
     return Plan(steps, left_out, tuple(chosen), features, device, smoother, warnings)
 
 
-def _smoother_values(settings: Settings) -> str:
+def _smoother_values(settings: Settings, features: str) -> str:
     from ..filters import smoother_parameters
     from ..filters.options import values_text
+    from ..matching.usual import MANY_PX
 
-    parameters, options = (
-        smoother_parameters(settings.resolved_smoother, settings.smoother_options),
-        settings.smoother_options,
-    )
-    text = values_text(parameters)
-    if settings.resolved_smoother == "regression" and "support_px" not in (options or {}):
-        text = text.replace("support_px 4,", "support_px 4 or, where the matches ask for it, up to 64,")
+    options = settings.smoother_options or {}
+    text = values_text(smoother_parameters(settings.resolved_smoother, options))
+    if settings.resolved_smoother == "regression" and features == "embedded" and "support_px" not in options:
+        text += f" (support up to {MANY_PX:g} where the matches ask for it)"
     return text
 
 
