@@ -14,10 +14,8 @@ import numpy as np
 from ..filters.regression import RegressionParameters
 
 DEPTHS = 5  # layers below the skin, thinner the nearer to it
-ENOUGH, NONE = (
-    1.1,
-    0.2,
-)  # evidence of a pixel nearby from which its neighbourhood decides alone; up to which the slice does
+# Evidence of a pixel nearby from which its neighbourhood decides alone; up to which the slice does.
+ENOUGH, NONE = 1.1, 0.2
 _AROUND_CELLS = 2.0  # Gaussian within which evidence is counted
 _LEAST = 1e-3  # of the cell with most evidence: cells with less lie outside the body
 

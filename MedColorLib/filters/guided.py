@@ -71,7 +71,7 @@ class _Room(threading.local):
     Fresh ones cost as much as the arithmetic: the system hands them out page by page.
     """
 
-    _MOST_PIXELS = 1 << 20  # of larger images nothing is kept: 40 MB a thread
+    _MOST_BYTES = 40 << 20  # a thread; of more nothing is kept
     _kept: tuple[np.ndarray, ...] = ()
 
     def arrays(self, count: int, shape: tuple[int, int], dtype: np.dtype) -> Iterator[np.ndarray]:
@@ -81,7 +81,7 @@ class _Room(threading.local):
             size = shape[0] * shape[1]
             line = np.empty((count, size + _APART), dtype)
             kept = tuple(row[:size].reshape(shape) for row in line)
-            self._kept = kept if kept[0].size <= self._MOST_PIXELS else ()
+            self._kept = kept if line.nbytes <= self._MOST_BYTES else ()
         return iter(kept)
 
 

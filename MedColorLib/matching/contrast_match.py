@@ -2,7 +2,7 @@
 
 The features of `features.contrast_net` do not change with contrast, so there is nothing for a latent pair to bridge: all
 patches of 3 x 3 positions are compared with all, by cosine similarity. Position joins weakly: it decides between matches that
-look alike. (The features know the place in the body as well: `context` of `features.contrast_net.Contrast`.)
+look alike.
 """
 
 from __future__ import annotations

@@ -15,10 +15,8 @@ FEW_PX, MANY_PX = 4.0, 64.0  # evidence at which a neighbourhood of the regressi
 RARE = 0.25  # share of the usual colour's frequency from which a colour counts in full
 _LEVELS = (16, 14, 10)  # of grey 0..1, L* 0..100, chroma 0..50
 _TOP = (1.0, 100.0, 50.0)
-_TELLS_TISSUE = (
-    0.45,
-    0.65,
-)  # share of the body in two neighbouring levels of grey: up to it grey tells tissue; from it, nothing
+# Share of the body in two neighbouring levels of grey: up to the first grey tells tissue; from the second, nothing.
+_TELLS_TISSUE = 0.45, 0.65
 
 
 @dataclass(frozen=True)
@@ -66,8 +64,8 @@ def support_px(grey_tells: float, contrast_trust: float) -> float:
     """How much evidence a neighbourhood needs before its colours of a grey count beside those of the whole slice.
 
     MANY_PX where grey tells tissue but the matches show no relation of grey to colour, as for MR of brains: what single
-    neighbourhoods say then is chance, and hue would follow place. Front against back of two brains at equal L*, CIEDE2000:
-    3.4 and 5.5 with FEW_PX, 1.8 and 3.1 with MANY_PX.
+    neighbourhoods say then is chance, and hue would follow place. Front against back of two brains at equal L*, CIEDE2000,
+    without `one_tissue`: 3.4 and 5.5 with FEW_PX, 1.8 and 3.1 with MANY_PX.
 
     Args:
         grey_tells: 0..1, `grey_tells_tissue` of the whole scan. contrast_trust: `contrast.Contrast.trust`.

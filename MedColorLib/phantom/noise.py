@@ -66,9 +66,9 @@ def ripples(
     Waves of nearly one length from all directions are added up; where the sum is 0 lies a labyrinth of sheets, as wide
     apart everywhere as the folds of a cortex are.
     """
-    drawn = hashed(np.arange(count)[:, None], np.arange(5)[None], seed=seed).astype(np.float64) / 2**32
+    drawn = hashed(np.arange(count)[:, None], np.arange(4)[None], seed=seed).astype(np.float64) / 2**32
     height, slope = 0.0, [0.0, 0.0, 0.0]
-    for up, around, length, phase, _ in drawn:
+    for up, around, length, phase in drawn:
         cosine = 2 * up - 1
         flat = np.sqrt(1 - cosine * cosine)
         way = flat * sine(np.float64(around)), flat * sine(np.float64(around + 0.25)), cosine

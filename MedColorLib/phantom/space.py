@@ -84,10 +84,8 @@ class Space:
             inside &= _one_of(view, into)
         view[inside] = NUMBER[tissue]
 
-    def fill(self, tissue: str, where: np.ndarray, into: tuple = ()) -> None:
-        """A mask, into these tissues alone if any are named."""
-        if into:
-            where = where & _one_of(self.labels, into)
+    def fill(self, tissue: str, where: np.ndarray) -> None:
+        """A mask."""
         self.labels[where] = NUMBER[tissue]
 
 

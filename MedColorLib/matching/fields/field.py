@@ -85,9 +85,7 @@ def _votes(values: Tensor, field: Tensor, radius: int, scale: int, groups: tuple
     """Sum of the votes and, last, their number: (N, C + 1, H, W)."""
     count, height, width = field.shape
     cols2 = values.shape[3]
-    edge = (
-        radius + scale - 1
-    )  # around the other side, where nothing votes: no vote needs to be asked whether it falls off
+    edge = radius + scale - 1  # around the other side nothing votes: no vote needs to be asked whether it falls off
     table = pad(pad(values, (0, 0, 0, 0, 0, 1), value=1.0), (edge,) * 4)  # a vote each
     line = cols2 + 2 * edge
     other_groups = None if groups is None else pad(groups[1], (edge,) * 4, value=-1).flatten()

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
+from ...progress import check
 from .exact import raise_largest_of_columns
 
 _BLOCK_ROWS = 512  # positions of the target at a time: their similarities stay in the cache
@@ -61,6 +62,7 @@ def _search_one(target, there, radius, allowed, wanted, inside, shape2, both):
     position = torch.zeros(there.shape[1], dtype=torch.int64)
     room = torch.empty(_BLOCK_ROWS, there.shape[1], dtype=torch.bfloat16)
     for first in range(0, len(rows), _BLOCK_ROWS):
+        check()
         at = rows[first : first + _BLOCK_ROWS]
         values, index = _largest_of_rows(_products(here[first : first + _BLOCK_ROWS], there, room))
         field[at], similarity[at] = allowed[index], values.float() + _GOOD

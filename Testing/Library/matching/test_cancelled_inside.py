@@ -10,6 +10,7 @@ import torch
 from MedColorLib.errors import Cancelled
 from MedColorLib.matching import analogy
 from MedColorLib.matching.analogy import deep_image_analogy
+from MedColorLib.matching.fields import patches
 from MedColorLib.progress import Run, check
 
 
@@ -46,6 +47,20 @@ def test_every_layer_asks(fine_search):
     for until in (0, times // 2, times - 1):
         with pytest.raises(Cancelled):
             asked_during(lambda: match(fine_search), until)
+
+
+def test_search_by_whole_patches_asks():
+    """As the own features are searched where the processor multiplies bfloat16."""
+    generator = torch.Generator().manual_seed(0)
+    target, reference = (torch.randn(1, 4, 40, 40, generator=generator) for _ in range(2))
+    inside = torch.ones(1, 40, 40, dtype=torch.bool)
+
+    def work():
+        patches.search(target, reference, 1, inside, inside, inside[0], both=True)
+
+    assert asked_during(work) >= 3
+    with pytest.raises(Cancelled):
+        asked_during(work, 1)
 
 
 def test_only_what_works_for_the_run_is_stopped():

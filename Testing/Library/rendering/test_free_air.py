@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rendering_samples import OBLIQUE, directions, painted, two_colour_ball, view
 
+from MedColorLib.errors import DeviceError
 from MedColorLib.rendering import corner_cut, free_air, lights, render_view, shaders
 from MedColorLib.volume import ColorVolume
 
@@ -43,6 +44,16 @@ def test_all_air_is_one_leap():
     free_air.mark_free_air(rgba)
     assert (rgba[..., 0] > 200).all()
     assert not rgba[..., 1:].any()
+
+
+@pytest.mark.parametrize("text", [shaders.NORMAL, shaders.SKIP_AIR[0], *(text for text, _ in shaders.SHADOWS)])
+def test_vtk_writes_the_text_that_is_replaced(gl, monkeypatch, text):
+    """Else nothing would be replaced, and pictures would only be slower or rougher: nobody would know."""
+    monkeypatch.setattr(shaders, "SKIP_AIR", (text, "this is no shader"))
+    monkeypatch.setattr(shaders, "SHADOWS", ())
+    monkeypatch.setattr(shaders, "CUBE_NORMALS", ("not in the text", ""))
+    with pytest.raises(DeviceError, match="driver failed"):
+        render_view(painted(two_colour_ball(14.0), (48, 48, 48)), "anterior", (60, 60), light="realistic")
 
 
 @pytest.mark.parametrize("light", lights.LIGHTS)
