@@ -16,7 +16,6 @@ from ..parameters import Settings
 from ..pipeline import colorize
 from ..progress import Progress
 from . import chroma_pairs, detail, front_back, seen, slab_ends, trivial, wrong_references
-from .pairs import SECTIONS
 from .tables import Suite, Table
 
 COLUMNS = ("measure", "what", "method", "features", "value", "worst", "limit", "limit_worst", "met")
@@ -102,7 +101,7 @@ class Run:
     @property
     def features(self) -> str:
         """ "" for the trivial methods, which have none."""
-        return "" if self.name in trivial.WITHOUT_FEATURES else self.settings.features
+        return trivial.features_of(self.name, self.settings)
 
 
 def head_ct(run: Run) -> Iterator[Figure]:
@@ -212,8 +211,7 @@ _QUICK: dict[Measure, tuple[str, ...]] = {head_ct: (DEFAULT, "look-up table"), p
 
 def run(suite: Suite, data: Path | None, quick: bool, progress: Progress) -> None:
     """Add the tables `seen`, `seen_regions` and `reference_warnings` to the suite, where the real images are."""
-    needed = (*SECTIONS.values(), seen.CT_FILE, seen.CHEST_FILE)
-    missing = [name for name in needed if data is None or not (data / name).exists()]
+    missing = seen.missing_files(data)
     if missing:
         suite.failures.append(("measures on real images", f"not here: {', '.join(missing)} (--data)"))
         return

@@ -228,6 +228,12 @@ def load(path: str) -> Volume:
     return read_volume(path)
 
 
+def missing_files(data: Path | None) -> list[str]:
+    """Names of the real images that the measures need and that are not in the folder."""
+    needed = (*SECTIONS.values(), CT_FILE, CHEST_FILE)
+    return [name for name in needed if data is None or not (data / name).exists()]
+
+
 @lru_cache(maxsize=2)
 def _photograph(path: str) -> np.ndarray:
     import cv2

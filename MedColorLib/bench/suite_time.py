@@ -15,13 +15,13 @@ from ..pipeline import colorize
 from ..progress import Progress
 from ..volume import ColorVolume, Volume
 from . import seen, trivial
-from .pairs import SECTIONS, Section
+from .measures import DEFAULT
+from .pairs import Section
 from .suite_pipeline import has_network
 from .tables import TIME_COLUMNS, Suite, Table, seconds_of
 
 COLUMNS = ("scan", "method", "features", "seen", "chroma", *TIME_COLUMNS)
 PAIRS, HEAD, CHEST = "pairs with known colours", "CT head, slice 122", "chest CT"
-DEFAULT = "default"
 PORT = "public port of deep image analogy"
 _PORT_ERRORS, _PORT_S = (4.0, 5.3), 244.0  # a thorax pair as it is, and with two greys made one; CPU seconds a picture
 
@@ -33,8 +33,8 @@ NOTES = [
     "Seconds of a processor's core a slice, so that neither the number of cores nor what else the machine does counts: those of "
     "the call times the share of its time that goes to single slices. Finding the body, and what is learned once a volume, are "
     "left out. Of the pairs the median of four slices, of the CTs one run of 9 and of 18 slices of 512 x 512.",
-    "'paper' is the preset full with the paper's luminance and VGG-19; 'reference's lightness' and 'scan's lightness' are the "
-    "default with its slider at the end, and with --luminance keep.",
+    "'paper's preset' is the preset full with the paper's luminance and VGG-19; 'reference's lightness' and 'scan's "
+    "lightness' are the default with its slider at the end, and with --luminance keep.",
     f"The {PORT} (Ben-Louis, loops compiled, 20 iterations of L-BFGS) was measured on a thorax pair as it is and with two greys "
     f"made one, {_PORT_ERRORS[0]} and {_PORT_ERRORS[1]}, {_PORT_S:g} CPU seconds; its point is their mean. It has no lightness "
     "of its own.",
@@ -52,7 +52,7 @@ class Way:
     @property
     def features(self) -> str:
         """ "" for the trivial methods, which have none."""
-        return "" if self.name in trivial.WITHOUT_FEATURES else self.settings.features
+        return trivial.features_of(self.name, self.settings)
 
 
 @dataclass
@@ -90,7 +90,7 @@ def ways(quick: bool, with_network: bool) -> list[Way]:
         deep = replace(own, features="vgg19")
         found += [
             Way("default, VGG-19", deep),
-            Way("paper", replace(deep, preset="full", luminance="paper")),
+            Way("paper's preset", replace(deep, preset="full", luminance="paper")),
         ]
     return found
 
@@ -130,15 +130,14 @@ def run(sections: list[Section], data: Path | None, quick: bool, seed: int, prog
 
 
 def _scans(section: Section, data: Path | None, quick: bool, seed: int) -> dict[str, Callable]:
-    """Scan -> function of a method and its settings that gives `seen.Seen`s; the first call of a method is its warm-up."""
+    """Scan -> function of a method and its settings that gives `seen.Seen`s; of the pairs the first call is a warm-up."""
 
     def pairs(method: seen.Colorize, settings: Settings) -> list[seen.Seen]:
         remaps = ("as it is", "inverted") if quick else tuple(seen.SEEN_REMAPS)
         seen.seen_pair(method, section, "as it is", settings, seed)
         return [seen.seen_pair(method, section, remap, settings, seed) for remap in remaps]
 
-    needed = (*SECTIONS.values(), seen.CT_FILE, seen.CHEST_FILE)
-    if quick or data is None or not all((data / name).exists() for name in needed):
+    if quick or seen.missing_files(data):
         return {PAIRS: pairs}
     return {
         PAIRS: pairs,

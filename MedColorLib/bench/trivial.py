@@ -101,3 +101,8 @@ METHODS: dict[str, Callable[[Volume, list, Settings], ColorVolume]] = {
     **({REFERENCE_END: at_reference} if SLIDER in Settings.__dataclass_fields__ else {}),
 }
 WITHOUT_FEATURES = ("look-up table", "histogram match")
+
+
+def features_of(method: str, settings: Settings) -> str:
+    """What a table calls the features of a method: "" for those that have none."""
+    return "" if method in WITHOUT_FEATURES else settings.features

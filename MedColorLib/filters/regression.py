@@ -10,11 +10,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..errors import SettingsError
 from . import options
+
+if TYPE_CHECKING:
+    import torch
 
 MOST_CELLS = 1 << 22  # 130 MB of sums a slice; the defaults on 256 x 256 pixels take 37 000
 _LEAST_SUPPORT = 1e-30  # what float32 can still divide by where a cell has no evidence at all
@@ -86,26 +90,32 @@ def predict(
     """
     import torch
 
-    volume = torch.from_numpy(np.ascontiguousarray(model)).permute(3, 2, 0, 1)[None]  # (1, C, bins, rows, cols)
     axes = zip(_positions(guide.shape, model.shape[:2], within), model.shape[:2])
     y, x = (torch.from_numpy(at * (2 / (count - 1)) - 1).float() for at, count in axes)
     values = guide if mask is None else guide[mask]
     if not values.size:
         return np.zeros((0, model.shape[-1]), np.float32)
-    parts = torch.get_num_threads()  # grid_sample gives every thread whole samples: one picture would take one thread
-    where = torch.empty(values.size + -values.size % parts, 3)
-    where[values.size :] = 0
+    where = torch.empty(values.size, 3)
     if mask is None:
-        place = where[: values.size].view(*guide.shape, 3)
+        place = where.view(*guide.shape, 3)
         place[..., 0], place[..., 1] = x, y[:, None]
     else:
-        place = where[: values.size]
+        place = where
         rows, cols = (torch.from_numpy(at) for at in np.divmod(np.flatnonzero(mask), guide.shape[1]))
         place[:, 0], place[:, 1] = x[cols], y[rows]
     place[..., 2] = torch.from_numpy(np.clip(values, 0, 255).astype(np.float32)) * (2 / 255) - 1
-    where, volumes = where.view(parts, 1, 1, -1, 3), volume.expand(parts, -1, -1, -1, -1)
-    out = torch.nn.functional.grid_sample(volumes, where, mode="bilinear", padding_mode="border", align_corners=True)
-    return out.movedim(1, -1).reshape(-1, volume.shape[1])[: values.size].reshape(*values.shape, -1).numpy()
+    return _read(model, where).reshape(*values.shape, -1)
+
+
+def _read(model: np.ndarray, where: torch.Tensor) -> np.ndarray:
+    """The grid at places (n, 3), -1..1 across, down and in grey: (n, C). Beyond its rim as at it."""
+    import torch
+
+    parts = torch.get_num_threads()  # grid_sample gives every thread whole samples: one picture would take one thread
+    volumes = torch.from_numpy(np.ascontiguousarray(model)).permute(3, 2, 0, 1)[None].expand(parts, -1, -1, -1, -1)
+    padded = torch.nn.functional.pad(where, (0, 0, 0, -len(where) % parts)).view(parts, 1, 1, -1, 3)
+    out = torch.nn.functional.grid_sample(volumes, padded, mode="bilinear", padding_mode="border", align_corners=True)
+    return out.movedim(1, -1).reshape(-1, model.shape[-1])[: len(where)].numpy()
 
 
 def predict_at(model: np.ndarray, y: np.ndarray, x: np.ndarray, guide: np.ndarray) -> np.ndarray:
@@ -120,11 +130,7 @@ def predict_at(model: np.ndarray, y: np.ndarray, x: np.ndarray, guide: np.ndarra
     down, across = (np.clip(0.5 + at * (n - 2), 0, n - 1) * (2 / (n - 1)) - 1 for at, n in axes)
     where = np.empty((*guide.shape, 3), np.float32)
     where[..., 0], where[..., 1], where[..., 2] = across, down, np.clip(guide, 0, 255) * (2 / 255) - 1
-    volume = torch.from_numpy(np.ascontiguousarray(model)).permute(3, 2, 0, 1)[None]
-    out = torch.nn.functional.grid_sample(
-        volume, torch.from_numpy(where)[None, None], mode="bilinear", padding_mode="border", align_corners=True
-    )
-    return out[0, :, 0].movedim(0, -1).numpy()
+    return _read(model, torch.from_numpy(where).view(-1, 3)).reshape(*guide.shape, -1)
 
 
 def splat(
