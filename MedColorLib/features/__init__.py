@@ -95,7 +95,7 @@ def make_extractor(name: str, device: str = "cpu") -> Extractor:
     if name == "embedded":
         from .contrast_net import Contrast
 
-        return Contrast(device, OWN_CONTEXT)
+        return Contrast(device)
     from .weights import find_weights, load_weights
 
     found = find_weights(name)

@@ -16,7 +16,7 @@ from torch import Tensor, nn
 
 from ..device import side_by_side
 from ..errors import InputError, SettingsError, WeightsError
-from . import OWN_WEIGHTS, own_weights_sha256
+from . import OWN_CONTEXT, OWN_WEIGHTS, own_weights_sha256
 
 CHANNELS = 32
 STRIDE = 4  # pixels of the luminance per position of the features
@@ -34,7 +34,7 @@ class Contrast:
 
     name = "embedded"
 
-    def __init__(self, device: str = "cpu", context: float = 1.0) -> None:
+    def __init__(self, device: str = "cpu", context: float = OWN_CONTEXT) -> None:
         """Args:
             context: share 0..1 of what the coarsest level says: where in the body a position lies. At 1 matches keep their
                 place; at 0 they follow tissue alone, and are less consistent.
@@ -82,7 +82,7 @@ class Contrast:
         return F.normalize(F.adaptive_avg_pool2d(self.positions(luminance), 8).flatten(1), dim=1)
 
 
-def extract(luminance: Tensor, device: str = "cpu", context: float = 1.0) -> Tensor:
+def extract(luminance: Tensor, device: str = "cpu", context: float = OWN_CONTEXT) -> Tensor:
     """Features of grey pictures that do not change with their contrast.
 
     Args:
