@@ -34,15 +34,16 @@ class UsualColors:
         return self.table[tuple(_levels(grey, lab))]
 
 
-def usual_colors(grey: np.ndarray, lab: np.ndarray) -> UsualColors | None:
+def usual_colors(grey: np.ndarray, lab: np.ndarray, grey_tells: float) -> UsualColors | None:
     """From pixels of several slices; None where grey tells no tissue.
 
     Args:
         grey: (n,) display grey 0..1 inside the body. lab: (n, 3) L* a* b* of their matches.
+        grey_tells: 0..1, `grey_tells_tissue` of the whole scan.
     """
     from scipy.ndimage import gaussian_filter
 
-    rare = RARE * grey_tells_tissue(grey)
+    rare = RARE * grey_tells
     if rare == 0:
         return None
     counts = np.zeros(_LEVELS)

@@ -11,6 +11,11 @@ RNG = np.random.default_rng(0)
 BRAIN, ORBIT = np.array([55.0, 15.0, 25.0]), np.array([25.0, 1.0, 3.0])
 
 
+def learned(grey: np.ndarray, lab: np.ndarray):
+    """From a scan that is these pixels alone."""
+    return usual_colors(grey, lab, grey_tells_tissue(grey))
+
+
 def body(grey: np.ndarray, rare_share: float) -> np.ndarray:
     lab = np.tile(BRAIN, (grey.size, 1))
     lab[: int(rare_share * grey.size)] = ORBIT
@@ -19,18 +24,18 @@ def body(grey: np.ndarray, rare_share: float) -> np.ndarray:
 
 def test_mr_a_rare_colour_counts_less_and_a_frequent_one_in_full():
     grey = RNG.uniform(0, 1, 40_000)
-    usual = usual_colors(grey, body(RNG.permutation(grey), 0.02))
+    usual = learned(grey, body(RNG.permutation(grey), 0.02))
     few = np.full(3, 0.5)
     assert usual.share(few, np.tile(BRAIN, (3, 1))).min() == 1
     assert usual.share(few, np.tile(ORBIT, (3, 1))).max() < 0.5
-    half = usual_colors(grey, body(grey, 0.0))
+    half = learned(grey, body(grey, 0.0))
     assert half.share(few, np.tile(ORBIT, (3, 1))).max() < 0.05
 
 
 def test_two_tissues_of_one_grey_that_are_both_frequent_both_count():
     grey = RNG.uniform(0, 1, 40_000)
     order = RNG.permutation(grey.size)
-    usual = usual_colors(grey[order], body(grey, 0.4))
+    usual = learned(grey[order], body(grey, 0.4))
     assert usual.share(np.array([0.5]), ORBIT[None])[0] > 0.9
 
 
@@ -38,7 +43,7 @@ def test_ct_says_nothing():
     """Nearly all soft tissue in two of sixteen levels of grey."""
     grey = np.concatenate([RNG.normal(0.28, 0.01, 9000), RNG.uniform(0, 1, 1000)]).clip(0, 1)
     assert grey_tells_tissue(grey) == 0
-    assert usual_colors(grey, body(grey, 0.02)) is None
+    assert learned(grey, body(grey, 0.02)) is None
 
 
 def test_it_is_soft_between():
