@@ -420,7 +420,8 @@ class Engine:
         each = self._each if self.apart else map
         seen, colors = (np.stack(values) for values in zip(*each(matched, greys, masks)))
         reference.contrast = seen_contrast(greys, masks, seen)
-        reference.usual = usual_colors(greys[masks], colors[masks], self.grey_tells)
+        if self.reads_trust:
+            reference.usual = usual_colors(greys[masks], colors[masks], self.grey_tells)
 
     def _choose_references(self) -> dict[int, int]:
         """Slice -> index of its reference: the only one, or by likeness (cosine of descriptors) and order."""

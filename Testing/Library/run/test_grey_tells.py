@@ -57,9 +57,9 @@ def test_options_that_are_given_stay(changes):
     assert engine_of(0.9, **changes).smoother_options == changes.get("smoother_options")
 
 
-def test_other_smoothers_do_not_ask():
-    engine = engine_of(0.9, smoother="fgs")
-    assert engine.one_tissue == 0 and "grey_tells" not in vars(engine)
+def test_where_matches_are_not_weighed_nobody_asks():
+    engine = engine_of(0.9, smoother="guided")
+    assert engine.one_tissue == 0 and engine.references[0].usual is None and "grey_tells" not in vars(engine)
 
 
 def test_slices_asked_for_do_not_change_it():
