@@ -289,10 +289,11 @@ def nifti_array(image, size: int, path: Path, index: int | None = None) -> np.nd
         stored = read_voxels(path, 0, shape, dtype, "gzip" if packed else "raw", skip=skip)
     except (ValueError, OverflowError) as error:  # an offset beyond any file
         raise InputError(f"{IS_TRUNCATED} ({error})") from error
-    if scale == (1.0, 0.0):
+    if dtype.names or scale == (1.0, 0.0):  # colours have no scale
         return stored.astype(dtype.newbyteorder("="), copy=False)
     narrow = np.float32 if dtype.itemsize <= 2 or dtype == np.float32 else np.float64
     array = np.empty(stored.shape, narrow)
-    for number, plane in enumerate(stored):
-        array[number] = plane * np.float64(scale[0]) + np.float64(scale[1])
+    planes = (values.reshape(-1, *stored.shape[-2:]) for values in (array, stored))
+    for scaled, plane in zip(*planes):
+        scaled[...] = plane * np.float64(scale[0]) + np.float64(scale[1])
     return array
