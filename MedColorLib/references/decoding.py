@@ -41,6 +41,7 @@ IS_GREY = "a grey picture; the reference must be a colour photograph (RGB)"
 _RGB, _YCBCR = 2, 6
 _EXTRA = 338
 _BITS, _SAMPLES, _PLANAR, _SEPARATE = 258, 277, 284, 2
+_MOST_PLANES = 4
 _MAX_RATIO = 4096  # of packed strips; no photograph is packed more than that
 _MAX_FILE_BYTES = 2 << 30  # for OpenCV; MAX_PIXELS of four channels with 16 bits and no compression are less
 _TIFF_MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
@@ -136,22 +137,25 @@ def _tiff_tags(stream: BinaryIO) -> dict:
 
 
 def _from_planes(stream: BinaryIO) -> np.ndarray:
-    """A TIFF with a plane for each colour, which OpenCV reads wrongly."""
+    """A TIFF with a plane for each colour, at most four, which OpenCV reads wrongly."""
     import tifffile
 
     stream.seek(0)
     with decoding(), quiet_package("tifffile"):
         try:
             with tifffile.TiffFile(stream, is_ome=False, _multifile=False) as file:
-                planes = file.pages[0].asarray(maxworkers=1)
+                page = file.pages[0]
+                if page.axes != "SYX" or page.shape[0] > _MOST_PLANES:
+                    sizes = " x ".join(map(str, page.shape))
+                    raise InputError(f"a TIFF with more than the planes of one colour picture ({sizes}); save it as RGB")
+                planes = page.asarray(maxworkers=1)
         except (ValueError, KeyError) as error:
             if "imagecodecs" in str(error):
                 raise InputError(
                     "a TIFF with a packed plane for each colour; save it as an ordinary TIFF or PNG"
                 ) from error
             raise
-    values = np.moveaxis(planes, 0, -1)[..., [2, 1, 0, 3][: min(len(planes), 4)]] if len(planes) > 2 else planes[0]
-    check_size(*values.shape[1::-1])
+    values = np.moveaxis(planes, 0, -1)[..., [2, 1, 0, 3][: len(planes)]] if len(planes) > 2 else planes[0]
     return np.ascontiguousarray(values)
 
 
