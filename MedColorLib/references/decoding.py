@@ -147,7 +147,9 @@ def _from_planes(stream: BinaryIO) -> np.ndarray:
                 page = file.pages[0]
                 if page.axes != "SYX" or page.shape[0] > _MOST_PLANES:
                     sizes = " x ".join(map(str, page.shape))
-                    raise InputError(f"a TIFF with more than the planes of one colour picture ({sizes}); save it as RGB")
+                    raise InputError(
+                        f"a TIFF with more than the planes of one colour picture ({sizes}); save it as RGB"
+                    )
                 planes = page.asarray(maxworkers=1)
         except (ValueError, KeyError) as error:
             if "imagecodecs" in str(error):
