@@ -99,10 +99,12 @@ def _decoded(stream: BinaryIO, path: Path, shape: tuple[int, int]) -> np.ndarray
         tags = checked_unknown(stream)
         size = (tags[256], tags[257]) if tags else shape[::-1]  # where no header tells, OpenCV's own limit holds
     else:
-        tags, size = exif_of(image), image.size
-    turned = tags.get(ORIENTATION)
+        size = image.size
     if sorted(size) != sorted(shape):  # what lies on its side is turned below
         raise InputError(_of_another_size(size, shape))
+    if image is not None:
+        tags = exif_of(image)  # which decodes a PNG, as they may follow the pixels
+    turned = tags.get(ORIENTATION)
     head = stream.seek(0) or stream.read(26)
     if head[:4] == b"\x89PNG" and head[25:] == bytes([_PALETTE]):
         mask = read_label_picture(path) > 0

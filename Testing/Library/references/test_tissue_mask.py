@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 from pictures_samples import STORED
-from PIL import Image
+from PIL import Image, PngImagePlugin
 from scipy.ndimage import gaussian_filter
 
 from MedColorLib.errors import InputError, SettingsError
@@ -191,8 +191,11 @@ class TestGiven:
         data[29:33] = struct.pack(">I", zlib.crc32(data[12:29]))
         (tmp_path / "m.png").write_bytes(data)
         monkeypatch.setattr(given_mask, "stored_values", None)  # would raise TypeError
+        reached: list = []
+        monkeypatch.setattr(PngImagePlugin.PngImageFile, "load", lambda _: reached.append(1))
         with pytest.raises(InputError, match=r"reference mask m\.png: .*(the photograph has 300 x 240|megapixels)"):
             load_references([body(BACKGROUNDS["wood"])[0]], masks=[str(tmp_path / "m.png")])
+        assert not reached
 
     @pytest.mark.parametrize(
         ("mask", "message"),
