@@ -45,18 +45,17 @@ def masks_for(masks: Sequence[str | os.PathLike | None] | None, count: int) -> l
     return [None if mask is None or str(mask) == FIND else Path(mask) for mask in masks]
 
 
-def mask_beside(mask: Path, picture: Path) -> Path | None:
-    """The mask of one picture of a folder: that of the same name in a folder of masks; None where there is none.
+def masks_in(folder: Path) -> dict[str, Path]:
+    """Name without ending -> mask, of the masks for a folder of pictures; of two of one name the first counts.
 
     Raises:
         InputError: a single mask for many pictures.
     """
-    if not mask.is_dir():
+    if not folder.is_dir():
         raise InputError(
-            f"reference mask {mask.name}: the reference is a folder; give a folder of masks of the same names"
+            f"reference mask {folder.name}: the reference is a folder; give a folder of masks of the same names"
         )
-    found = sorted(file for file in pictures_in(mask) if file.stem == picture.stem)
-    return found[0] if found else None
+    return {file.stem: file for file in sorted(pictures_in(folder), reverse=True)}
 
 
 def read_mask(path: Path, shape: tuple[int, int]) -> np.ndarray:

@@ -16,7 +16,7 @@ from ..io.usable import usable
 from ..volume import ColorVolume
 from .color_sections import COLOR_SUFFIXES, read_sections, sections
 from .exposure import expose
-from .given_mask import mask_beside, masks_for, read_mask
+from .given_mask import masks_for, masks_in, read_mask
 from .library import LONG_SIDE_PX, find_library, no_library, read_index, read_reference, same_places, shrunk
 from .photograph import Reference, prepare_reference
 from .pictures import LONG_SIDE_PX as READ_SIDE_PX
@@ -120,8 +120,9 @@ def _of_files(files: list[Path], group: str, masks: Path | None = None) -> list[
     """References of the files that can be used; what is left out is said in the notes of the first."""
     found: list[Reference] = []
     left_out: list[str] = []
+    of_name = masks_in(masks) if masks else {}
     for file in files:
-        mask = masks and mask_beside(masks, file)
+        mask = of_name.get(file.stem)
         try:
             reference = replace(read_reference(file, mask), group=group)
             if masks and not mask:

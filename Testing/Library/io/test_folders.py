@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path
+from pathlib import Path, PurePath
 
 import cv2
 import nibabel as nib
@@ -14,6 +14,7 @@ from volume_samples import LPS, save_nrrd
 
 from MedColorLib.io.dicom import is_dicom
 from MedColorLib.io.files import input_sha256, list_volumes, read_volume
+from MedColorLib.io.folders import look_into
 from MedColorLib.references.color_sections import read_sections
 
 A = planes()
@@ -51,6 +52,18 @@ def test_slices_that_are_named_as_pictures(tmp_path: Path) -> None:
     volume = read_volume(tmp_path)
     np.testing.assert_array_equal(volume.array, A)
     assert not volume.notes
+
+
+def test_many_pictures_beside_many_slices_take_time_in_proportion(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for n in range(50):
+        (tmp_path / f"{n}.png").write_bytes(b"no picture")
+        (tmp_path / f"{n}.dcm").write_bytes(b"no slice")
+    hashed, plain = [], PurePath.__hash__
+    monkeypatch.setattr(PurePath, "__hash__", lambda path: hashed.append(1) or plain(path))
+    assert len(look_into(tmp_path).files) == 50
+    assert len(hashed) <= 200
 
 
 @pytest.mark.parametrize("ending", [".img", ".IMG", ".hdr"])
