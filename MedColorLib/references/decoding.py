@@ -8,7 +8,6 @@ from __future__ import annotations
 import logging
 import os
 import struct
-import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, BinaryIO
@@ -303,20 +302,6 @@ def decoding() -> Iterator[None]:
         raise InputError(
             f"the picture is damaged or cut short ({_one_line(error)}); copy or export it again"
         ) from error
-
-
-@contextmanager
-def quiet_pillow() -> Iterator[None]:
-    """Nothing of Pillow's warnings and log: what matters of it is found out here, and told in one sentence."""
-    logger = logging.getLogger("PIL")
-    level = logger.level
-    logger.setLevel(logging.CRITICAL + 1)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            yield
-    finally:
-        logger.setLevel(level)
 
 
 def _one_line(error: Exception) -> str:

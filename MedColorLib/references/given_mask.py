@@ -12,6 +12,7 @@ import numpy as np
 from ..device import is_out_of_memory
 from ..errors import InputError
 from ..io.label_picture import read_label_picture
+from ..io.quiet import quiet_package
 from ..io.usable import usable
 from .decoding import (
     ORIENTATION,
@@ -19,7 +20,6 @@ from .decoding import (
     decoding,
     exif_of,
     opened,
-    quiet_pillow,
     stored_values,
     upright,
 )
@@ -75,7 +75,7 @@ def read_mask(path: Path, shape: tuple[int, int]) -> np.ndarray:
     if not path.is_file():
         raise InputError(f"reference mask: no file {path}")
     try:
-        with path.open("rb") as stream, quiet_pillow():
+        with path.open("rb") as stream, quiet_package("PIL"):
             mask = _decoded(stream, path, tuple(shape))
     except InputError as error:
         raise InputError(f"reference mask {path.name}: {error}") from error
