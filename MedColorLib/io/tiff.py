@@ -87,8 +87,9 @@ def tiff_stacks(path: Path) -> list[TiffStack]:
             raise InputError(f"{pages - held} of its {pages} pages hold no picture; copy or export it again")
         found: list[TiffStack] = []
         pictures = [index for index, series in enumerate(file.series) if not series.keyframe.is_reduced]
-        for index in pictures or range(len(file.series)):  # without previews
-            found += _stacks(file, index, file.series[index], len(pictures))
+        chosen = pictures or range(len(file.series))  # without previews, where there is anything else
+        for index in chosen:
+            found += _stacks(file, index, file.series[index], len(chosen))
         if not found:
             raise InputError("the TIFF holds no picture; copy or export it again")
         found = _joined(file, found)
@@ -116,7 +117,7 @@ def _joined(file, stacks: list[TiffStack]) -> list[TiffStack]:
 
 
 def _stacks(file, index: int, series, count: int) -> list[TiffStack]:
-    """The stacks of one series; `count`: of all series."""
+    """The stacks of one series; `count`: of all series that are looked at."""
     axes, shape = series.axes, series.shape
     if "Y" not in axes or "X" not in axes:
         return []
