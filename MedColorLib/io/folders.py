@@ -13,6 +13,7 @@ from .dicom import is_dicom
 from .pictures import PICTURE_ENDINGS
 from .plain_pictures import PLAIN_ENDINGS
 
+# of grey volumes, and of the colour volumes that are references
 VOLUME_ENDINGS = (".nrrd", ".nhdr", ".mha", ".mhd", ".nii", ".nii.gz")
 
 

@@ -21,7 +21,8 @@ from .voxel_data import IS_TRUNCATED, check_size
 
 _SLICES = "ZIQT"  # axes that may be the stack, the first of them that is there
 _INKS = {5: "inks (CMYK)", 8: "CIE L*a*b*", 9: "ICC L*a*b*", 10: "ITU L*a*b*"}
-_MAX_RATIO = 4096  # of packed pages; no scan is packed more than that
+TIFF_STARTS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+TIFF_MAX_RATIO = 4096  # of packed pages; no scan or photograph is packed more than that
 
 
 @dataclass(frozen=True)
@@ -218,7 +219,7 @@ def _plane(path: Path, page, max_bytes: int, notes: set[str]) -> np.ndarray:
     packed = sum(page.databytecounts)
     end = max((a + b for a, b in zip(page.dataoffsets, page.databytecounts)), default=0)
     bits = math.prod(page.shape) * page.bitspersample // 8
-    ratio = 1 if page.compression == 1 else _MAX_RATIO
+    ratio = 1 if page.compression == 1 else TIFF_MAX_RATIO
     if end > path.stat().st_size or not all(page.databytecounts) or packed * ratio < min(size, bits):
         raise InputError(IS_TRUNCATED)
     if (

@@ -12,6 +12,7 @@ import numpy as np
 
 from ..color.lab import WHITE_XYZ, XYZ_TO_RGB, linear_to_srgb, srgb_to_linear
 from ..errors import InputError
+from ..io.label_picture import chunk_before_pixels
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -104,14 +105,10 @@ def _cicp(stream: BinaryIO) -> tuple[int, int, int] | None:
     """Code numbers of primaries, transfer and matrix, before the pixels; the stream stays where it is."""
     here = stream.tell()
     try:
-        stream.seek(8)
-        while len(head := stream.read(8)) == 8 and head[4:] not in (b"IDAT", b"IEND"):
-            if head[4:] == b"cICP" and head[:4] == b"\0\0\0\4":
-                return tuple(stream.read(4)[:3])
-            stream.seek(int.from_bytes(head[:4], "big") + 4, 1)
-        return None
+        content = chunk_before_pixels(stream, b"cICP", 4)
     finally:
         stream.seek(here)
+    return None if content is None else (content[0], content[1], content[2])
 
 
 def _of_codes(primaries: int, transfer: int, matrix: int) -> CodedColor | None:

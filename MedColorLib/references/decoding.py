@@ -18,6 +18,7 @@ from ..device import is_out_of_memory
 from ..errors import InputError
 from ..io.label_picture import has_whole_chunks
 from ..io.quiet import quiet_cv2, quiet_package, quiet_stderr
+from ..io.tiff import TIFF_MAX_RATIO, TIFF_STARTS
 from .to_srgb import TAG_GROUPS
 
 if TYPE_CHECKING:
@@ -41,9 +42,7 @@ _RGB, _YCBCR = 2, 6
 _EXTRA = 338
 _BITS, _SAMPLES, _PLANAR, _SEPARATE = 258, 277, 284, 2
 _MOST_PLANES = 4
-_MAX_RATIO = 4096  # of packed strips; no photograph is packed more than that
 _MAX_FILE_BYTES = 2 << 30  # for OpenCV; MAX_PIXELS of four channels with 16 bits and no compression are less
-_TIFF_MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 # PNG, JPEG, GIF, BMP, RIFF: what Pillow does not take for one is damaged; OpenCV would take gigabytes for some of them.
 _PILLOWS = (b"\x89PNG", b"\xff\xd8", b"GIF8", b"BM", b"RIFF")
 _HEIF_BRANDS = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1")
@@ -116,7 +115,7 @@ def checked_unknown(stream: BinaryIO) -> dict:
         raise InputError("a HEIC picture, as telephones store them; export it as JPEG or PNG")
     if start.startswith(_PILLOWS):
         raise InputError(_UNREADABLE)
-    if start[:4] not in _TIFF_MAGIC:
+    if start[:4] not in TIFF_STARTS:
         return {}
     tags = _tiff_tags(stream)
     width, height = tags.get(256), tags.get(257)
@@ -189,7 +188,7 @@ def _has_whole_strips(tags: dict, size: int) -> bool:
     if not places or len(places) != len(lengths) or min(rows, tags.get(322, 1), tags.get(323, 1)) < 1:
         return False
     count = -(-width // tags[322]) * -(-height // tags[323]) if tiled else -(-height // rows)
-    packed = 1 if tags.get(259, 1) == 1 else _MAX_RATIO
+    packed = 1 if tags.get(259, 1) == 1 else TIFF_MAX_RATIO
     inside = all(place + length <= size for place, length in zip(places, lengths))
     return inside and len(places) >= count * planes and sum(lengths) * packed >= needed
 
@@ -251,7 +250,7 @@ def stored_values(stream: BinaryIO) -> np.ndarray:
     start = data[:4].tobytes()
     if start == b"\x89PNG" and not has_whole_chunks(memoryview(data)):
         raise InputError(_CUT)
-    if start in _TIFF_MAGIC:
+    if start in TIFF_STARTS:
         tags = _tiff_tags(stream)
         check_strips(tags, size)
         if tags.get(_PLANAR) == _SEPARATE and tags.get(_SAMPLES, 1) > 1:
@@ -276,7 +275,7 @@ def _without_extra(values: np.ndarray, tags: dict) -> np.ndarray:
 
 def _as_stored(data: np.ndarray) -> np.ndarray:
     """The bytes (n,) of a file. A TIFF's orientation becomes 1, in place: which ones OpenCV undoes depends on its version."""
-    if data[:4].tobytes() not in _TIFF_MAGIC:
+    if data[:4].tobytes() not in TIFF_STARTS:
         return data
     order, big = ("<" if data[0] == ord("I") else ">"), ord("+") in data[2:4]
     count, width, offset, at, value = ("Q", 20, "Q", 8, 12) if big else ("H", 12, "I", 4, 8)

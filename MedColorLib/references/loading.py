@@ -12,9 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError
+from ..io.folders import VOLUME_ENDINGS
 from ..io.usable import usable
 from ..volume import ColorVolume
-from .color_sections import COLOR_SUFFIXES, read_sections, sections
+from .color_sections import read_sections, sections
 from .exposure import expose
 from .given_mask import masks_for, masks_in, read_mask
 from .library import LONG_SIDE_PX, find_library, no_library, read_index, read_reference, same_places, shrunk
@@ -95,7 +96,7 @@ def _of(item, number: int, mask: Path | None) -> list[Reference]:
 
 
 def _is_volume(path) -> bool:
-    return Path(path).name.lower().endswith(COLOR_SUFFIXES)
+    return Path(path).name.lower().endswith(VOLUME_ENDINGS)
 
 
 def _of_array(picture: np.ndarray, name: str, mask: Path | None) -> Reference:
