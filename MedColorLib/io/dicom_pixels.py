@@ -68,16 +68,22 @@ def values(frame: Frame, dtype: np.dtype, notes: set[str] | None = None) -> np.n
     if pixels.inverted:
         low, high = pixels.limits
         stored = (low + high - stored.astype(np.int64)).astype(pixels.stored)
-    if padded is not None and padded.any() and not padded.all():
-        least = stored[~padded].min()
-        if stored[padded].max() > least:
-            stored = np.where(padded, least, stored)
-            if notes is not None:
-                notes.add("padding is no measurement: it was made as dark as the darkest pixel of its slice")
     slope, intercept = frame.rescale
-    if (slope, intercept) == (1.0, 0.0):
-        return stored.astype(dtype, copy=False)
-    return (stored * np.float64(slope) + intercept).astype(dtype)
+    plain = (slope, intercept) == (1.0, 0.0)
+    scaled = (stored if plain else stored * np.float64(slope) + intercept).astype(dtype, copy=False)
+    return scaled if padded is None else _darkened(scaled, padded, notes)
+
+
+def _darkened(scaled: np.ndarray, padded: np.ndarray, notes: set[str] | None) -> np.ndarray:
+    """Final values, (rows, columns): a falling scale makes the smallest stored number the brightest."""
+    if not padded.any() or padded.all():
+        return scaled
+    least = scaled[~padded].min()
+    if not scaled[padded].max() > least:
+        return scaled
+    if notes is not None:
+        notes.add("padding is no measurement: it was made as dark as the darkest pixel of its slice")
+    return np.where(padded, least, scaled)
 
 
 def _not_decoded(frame: Frame, syntax: str) -> str:

@@ -177,6 +177,8 @@ def _detached(path: Path) -> list[Path]:
     """The data file of a header, if it has one, or the other file of a pair."""
     name = None
     if _ending(path, NIFTI_ENDINGS):
+        if _is_dicom_by_another_name(path):
+            return []
         return sorted({*nifti_files(path)} - {path})
     if _ending(path, (".nrrd", ".nhdr")):
         name = nrrd_header(path).get("data file")
@@ -250,6 +252,8 @@ def _reader(path: Path) -> Callable[[Path, int, int | None], Volume]:
     if not path.stat().st_size:
         raise InputError("the file is empty; copy or export it again")
     ending = _ending(path, _READERS)
+    if ending in NIFTI_ENDINGS and _is_dicom_by_another_name(path):
+        return _read_single_dicom
     if ending:
         return _READERS[ending]
     if is_dicom(path):
@@ -257,6 +261,14 @@ def _reader(path: Path) -> Callable[[Path, int, int | None], Volume]:
     raise InputError(
         f"not a known image file; save it as NRRD or NIfTI (known endings: {', '.join(_READERS)}), or give a folder of slices"
     )
+
+
+def _is_dicom_by_another_name(path: Path) -> bool:
+    """DICOM that is named .img or .hdr, as some scanners do. Of a pair the header tells: voxels may begin as DICOM does."""
+    try:
+        return is_dicom(nifti_files(path)[0])
+    except InputError:  # it has no other half
+        return is_dicom(path)
 
 
 def _look_into(folder: Path, below: bool = True) -> FolderContents:

@@ -13,6 +13,7 @@ from .dicom import is_dicom
 from .pictures import PICTURE_ENDINGS
 from .plain_pictures import PLAIN_ENDINGS
 
+# of grey volumes, and of the colour volumes that are references
 VOLUME_ENDINGS = (".nrrd", ".nhdr", ".mha", ".mhd", ".nii", ".nii.gz")
 
 
@@ -61,7 +62,8 @@ def look_into(folder: Path, below: bool = True) -> FolderContents:
     pictures = [file for file in files if file.suffix.lower() in PICTURE_ENDINGS]
     dicom = [file for file in (files_below(folder) if below else files) if _is_dicom(file)]
     here = any(file.parent == folder for file in dicom)
-    pictures = [file for file in pictures if file not in {*dicom}]  # slices go by any name
+    slices = {*dicom}
+    pictures = [file for file in pictures if file not in slices]  # slices go by any name
     beside = _volumes_beside(files)
     if dicom and (here or len(dicom) >= len(pictures)):
         notes = (f"{len(pictures)} PNG or TIFF pictures beside the DICOM files were left out",) if pictures else ()

@@ -10,6 +10,7 @@ import os
 import struct
 import zlib
 from collections.abc import Iterator
+from typing import BinaryIO
 
 import numpy as np
 
@@ -62,6 +63,18 @@ def has_whole_chunks(data: bytes | memoryview) -> bool:
             return length == 0
         at += 12 + length
     return False
+
+
+def chunk_before_pixels(stream: BinaryIO, kind: bytes, length: int) -> bytes | None:
+    """The content of a PNG's first chunk of that kind and length ahead of its pixels; None: there is none."""
+    stream.seek(len(_MAGIC))
+    while len(head := stream.read(8)) == 8 and head[4:] not in _KEPT:
+        size = int.from_bytes(head[:4], "big")
+        if head[4:] == kind and size == length:
+            content = stream.read(length)
+            return content if len(content) == length else None
+        stream.seek(size + 4, os.SEEK_CUR)
+    return None
 
 
 def _with_plain_values(data: bytes, name: str) -> bytes:

@@ -8,8 +8,6 @@ from __future__ import annotations
 import gzip
 import math
 import zlib
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +15,7 @@ import numpy as np
 from ..errors import InputError
 from ..volume import Volume
 from .choice import Choice, checked_count, chosen_note, pick
+from .quiet import quiet_package
 from .voxel_data import (
     GZIP,
     IS_COLOR,
@@ -34,18 +33,6 @@ from .voxel_data import (
 NIFTI_ENDINGS = (".nii", ".nii.gz", ".hdr", ".img", ".hdr.gz", ".img.gz")
 _SAME_FORM = 0.01  # of a voxel's edge: sform and qform that differ by no more are one
 _UPRIGHT = 1e-4  # largest cosine between axes that ITK takes for a right angle
-
-
-@contextmanager
-def _quiet_nibabel() -> Iterator[None]:
-    """Keep remarks on odd header fields off stderr."""
-    from nibabel.imageglobals import logger
-
-    before, logger.disabled = logger.disabled, True
-    try:
-        yield
-    finally:
-        logger.disabled = before
 
 
 def nifti_files(path: Path) -> tuple[Path, Path]:
@@ -83,7 +70,7 @@ def load_nifti(path: Path):
     """
     header, voxels = nifti_files(path)
     try:
-        with _quiet_nibabel():
+        with quiet_package("nibabel"):
             kind, written = _kind(_beginning(header))
             _check_offset(written)
             image = kind.from_file_map({**kind.make_file_map(), **_files(kind, header, voxels)}, mmap="r")
@@ -289,10 +276,11 @@ def nifti_array(image, size: int, path: Path, index: int | None = None) -> np.nd
         stored = read_voxels(path, 0, shape, dtype, "gzip" if packed else "raw", skip=skip)
     except (ValueError, OverflowError) as error:  # an offset beyond any file
         raise InputError(f"{IS_TRUNCATED} ({error})") from error
-    if scale == (1.0, 0.0):
+    if dtype.names or scale == (1.0, 0.0):  # colours have no scale
         return stored.astype(dtype.newbyteorder("="), copy=False)
     narrow = np.float32 if dtype.itemsize <= 2 or dtype == np.float32 else np.float64
     array = np.empty(stored.shape, narrow)
-    for number, plane in enumerate(stored):
-        array[number] = plane * np.float64(scale[0]) + np.float64(scale[1])
+    planes = (values.reshape(-1, *stored.shape[-2:]) for values in (array, stored))
+    for scaled, plane in zip(*planes):
+        scaled[...] = plane * np.float64(scale[0]) + np.float64(scale[1])
     return array

@@ -18,18 +18,18 @@ from ..errors import InputError
 from ..volume import Volume
 from .choice import Choice, chosen_note, pick
 from .grey import grey_of
-from .label_picture import has_whole_chunks
+from .label_picture import chunk_before_pixels, has_whole_chunks
 from .picture_names import NamedSeries, named_series
 from .plain_pictures import PLAIN_ENDINGS, plain_size, read_plain
 from .quiet import quiet_cv2
-from .tiff import TiffStack, tiff_planes, tiff_stacks
+from .tiff import TIFF_STARTS, TiffStack, tiff_planes, tiff_stacks
 from .tiff_spacing import PRINTERS
 from .voxel_data import IS_FLAT, IS_TRUNCATED, LPS_TO_RAS, MAX_DEFLATE_RATIO, check_size, title
 
 PICTURE_ENDINGS = (".png", ".tif", ".tiff")
 TIFF_ENDINGS = (".tif", ".tiff")
 _DIRECTIONS = "x to the left, y to the back, slices upwards"
-_TIFF_STARTS, _PNG_START = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"), b"\x89PNG"
+_PNG_START = b"\x89PNG"
 _PNG_CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}  # colour type -> samples
 _PNG_KINDS = {2: "RGB pictures", 3: "palette pictures", 4: "grey with transparency", 6: "RGB with transparency"}
 
@@ -220,7 +220,7 @@ def _is_tiff(file: Path) -> bool:
     """By the first bytes; pictures are renamed without being converted."""
     with file.open("rb") as stream:
         start = stream.read(4)
-    return start in _TIFF_STARTS or (start != _PNG_START and file.suffix.lower() in TIFF_ENDINGS)
+    return start in TIFF_STARTS or (start != _PNG_START and file.suffix.lower() in TIFF_ENDINGS)
 
 
 def _is_plain(file: Path) -> bool:
@@ -264,14 +264,11 @@ def _png(path: Path, max_bytes: int, notes: set[str]) -> np.ndarray:
 def _png_spacing(path: Path) -> tuple[float | None, float | None, float | None]:
     """Millimetres from the pixels per metre of a PNG; nothing where they are those of a printer or screen."""
     with path.open("rb") as file:
-        file.seek(8)
-        while len(head := file.read(8)) == 8 and head[4:] not in (b"IDAT", b"IEND"):
-            length = int.from_bytes(head[:4], "big")
-            if head[4:] == b"pHYs" and length == 9:
-                across, down, unit = struct.unpack(">IIB", file.read(9))
-                printed = all(round(value * 0.0254) in PRINTERS for value in (across, down))
-                if unit != 1 or not across or not down or printed:
-                    break
-                return 1e3 / across, 1e3 / down, None
-            file.seek(length + 4, 1)
-    return None, None, None
+        content = chunk_before_pixels(file, b"pHYs", 9)
+    if content is None:
+        return None, None, None
+    across, down, unit = struct.unpack(">IIB", content)
+    printed = all(round(value * 0.0254) in PRINTERS for value in (across, down))
+    if unit != 1 or not across or not down or printed:
+        return None, None, None
+    return 1e3 / across, 1e3 / down, None

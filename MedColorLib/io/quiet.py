@@ -44,7 +44,8 @@ def quiet_itk() -> Iterator[None]:
 @contextmanager
 def quiet_stderr() -> Iterator[None]:
     """Nothing comes out of the error stream, not from C libraries either: libtiff and OpenJPEG print what they report."""
-    sys.stderr.flush()
+    if sys.stderr is not None:
+        sys.stderr.flush()
     try:
         kept = os.dup(2)
     except OSError:  # a program without one, as on Windows
@@ -61,15 +62,19 @@ def quiet_stderr() -> Iterator[None]:
 
 @contextmanager
 def quiet_package(name: str) -> Iterator[None]:
-    """Keep what a package (tifffile, pydicom) says of odd files out of the log; what matters is checked and said by us."""
+    """Keep what a package (tifffile, pydicom, nibabel, PIL) says of odd files out of the log, and its warnings.
+
+    What matters is checked and said by us. By the level, which holds for the loggers of its modules, too.
+    """
     logger = logging.getLogger(name)
-    before, logger.disabled = logger.disabled, True
+    level = logger.level
+    logger.setLevel(logging.CRITICAL + 1)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             yield
     finally:
-        logger.disabled = before
+        logger.setLevel(level)
 
 
 @contextmanager

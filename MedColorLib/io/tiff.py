@@ -21,7 +21,8 @@ from .voxel_data import IS_TRUNCATED, check_size
 
 _SLICES = "ZIQT"  # axes that may be the stack, the first of them that is there
 _INKS = {5: "inks (CMYK)", 8: "CIE L*a*b*", 9: "ICC L*a*b*", 10: "ITU L*a*b*"}
-_MAX_RATIO = 4096  # of packed pages; no scan is packed more than that
+TIFF_STARTS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+TIFF_MAX_RATIO = 4096  # of packed pages; no scan or photograph is packed more than that
 
 
 @dataclass(frozen=True)
@@ -87,8 +88,9 @@ def tiff_stacks(path: Path) -> list[TiffStack]:
             raise InputError(f"{pages - held} of its {pages} pages hold no picture; copy or export it again")
         found: list[TiffStack] = []
         pictures = [index for index, series in enumerate(file.series) if not series.keyframe.is_reduced]
-        for index in pictures or range(len(file.series)):  # without previews
-            found += _stacks(file, index, file.series[index], len(pictures))
+        chosen = pictures or range(len(file.series))  # without previews, where there is anything else
+        for index in chosen:
+            found += _stacks(file, index, file.series[index], len(chosen))
         if not found:
             raise InputError("the TIFF holds no picture; copy or export it again")
         found = _joined(file, found)
@@ -116,7 +118,7 @@ def _joined(file, stacks: list[TiffStack]) -> list[TiffStack]:
 
 
 def _stacks(file, index: int, series, count: int) -> list[TiffStack]:
-    """The stacks of one series; `count`: of all series."""
+    """The stacks of one series; `count`: of all series that are looked at."""
     axes, shape = series.axes, series.shape
     if "Y" not in axes or "X" not in axes:
         return []
@@ -217,7 +219,7 @@ def _plane(path: Path, page, max_bytes: int, notes: set[str]) -> np.ndarray:
     packed = sum(page.databytecounts)
     end = max((a + b for a, b in zip(page.dataoffsets, page.databytecounts)), default=0)
     bits = math.prod(page.shape) * page.bitspersample // 8
-    ratio = 1 if page.compression == 1 else _MAX_RATIO
+    ratio = 1 if page.compression == 1 else TIFF_MAX_RATIO
     if end > path.stat().st_size or not all(page.databytecounts) or packed * ratio < min(size, bits):
         raise InputError(IS_TRUNCATED)
     if (

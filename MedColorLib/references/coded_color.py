@@ -12,6 +12,7 @@ import numpy as np
 
 from ..color.lab import WHITE_XYZ, XYZ_TO_RGB, linear_to_srgb, srgb_to_linear
 from ..errors import InputError
+from ..io.label_picture import chunk_before_pixels
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -23,7 +24,7 @@ _PRIMARIES = {
     9: (0.3127, 0.3290, 0.708, 0.292, 0.170, 0.797, 0.131, 0.046),  # BT.2020
     12: (0.3127, 0.3290, 0.680, 0.320, 0.265, 0.690, 0.150, 0.060),  # Display P3
 }
-_GAMMAS = {1: None, 4: 1 / 2.2, 5: 1 / 2.8, 6: None, 8: 1.0, 13: None, 14: None, 15: None}  # None: as sRGB
+_GAMMAS = {1: None, 4: None, 5: 1 / 2.8, 6: None, 8: 1.0, 13: None, 14: None, 15: None}  # None: as sRGB
 _HDR = {16: "PQ", 18: "HLG"}
 _SAME = 0.003  # of a chromaticity: programs round
 _LIKE_SRGB = (0.43, 0.48)  # gammas that are taken as sRGB
@@ -39,11 +40,13 @@ class CodedColor:
         gamma: exponent from light to sample; None: as sRGB.
         primaries: x and y of white, red, green and blue; None: those of sRGB.
         notes: what cannot be used.
+        before_profile: whether it is said by cICP, which goes before an embedded profile; the others do not.
     """
 
     gamma: float | None = None
     primaries: tuple[float, ...] | None = None
     notes: tuple[str, ...] = ()
+    before_profile: bool = False
 
 
 ADOBE_RGB = CodedColor(256 / 563, (0.3127, 0.3290, 0.64, 0.33, 0.21, 0.71, 0.15, 0.06))
@@ -52,19 +55,24 @@ ADOBE_RGB = CodedColor(256 / 563, (0.3127, 0.3290, 0.64, 0.33, 0.21, 0.71, 0.15,
 def png_color(image: Image.Image, stream: BinaryIO) -> CodedColor | None:
     """What the header says; None: sRGB, or nothing, or a profile says it.
 
+    cICP goes before a profile, that before sRGB, and that before gAMA and cHRM (PNG 3, 4.3).
+
     Raises:
         InputError: colours for screens that are brighter than those of computers.
     """
     if image.format != "PNG":
         return None
     codes = _cicp(stream)
-    if codes:
-        return _of_codes(*codes)
+    known = codes and _of_codes(*codes)
+    if known:
+        return known
+    notes = (_not_known(codes, image.info),) if codes else ()
     if "icc_profile" in image.info or "srgb" in image.info:
-        return None
-    gamma, primaries, notes = image.info.get("gamma"), image.info.get("chromaticity"), ()
+        return CodedColor(notes=notes) if notes else None
+    gamma, primaries = image.info.get("gamma"), image.info.get("chromaticity")
     if gamma is not None and not _USABLE[0] <= gamma <= _USABLE[1]:
-        gamma, notes = None, (f"the gamma of its header ({gamma:g}) is not used",)
+        notes += (f"the gamma of its header ({gamma:g}) is not used",)
+        gamma = None
     if gamma is not None and _LIKE_SRGB[0] < gamma < _LIKE_SRGB[1]:
         gamma = None
     if primaries is not None and (len(primaries) != 8 or np.abs(np.subtract(primaries, _SRGB)).max() < _SAME):
@@ -76,6 +84,8 @@ def png_color(image: Image.Image, stream: BinaryIO) -> CodedColor | None:
 
 def decoded_color(rgb: np.ndarray, color: CodedColor) -> np.ndarray:
     """(h, w, 3) uint8 as sRGB."""
+    if color.gamma is None and color.primaries is None:
+        return rgb
     levels = np.linspace(0, 1, 256, dtype=np.float32)
     linear = srgb_to_linear(rgb) if color.gamma is None else (levels ** (1 / color.gamma))[rgb]
     if color.primaries is not None:
@@ -95,25 +105,26 @@ def _cicp(stream: BinaryIO) -> tuple[int, int, int] | None:
     """Code numbers of primaries, transfer and matrix, before the pixels; the stream stays where it is."""
     here = stream.tell()
     try:
-        stream.seek(8)
-        while len(head := stream.read(8)) == 8 and head[4:] not in (b"IDAT", b"IEND"):
-            if head[4:] == b"cICP" and head[:4] == b"\0\0\0\4":
-                return tuple(stream.read(4)[:3])
-            stream.seek(int.from_bytes(head[:4], "big") + 4, 1)
-        return None
+        content = chunk_before_pixels(stream, b"cICP", 4)
     finally:
         stream.seek(here)
+    return None if content is None else (content[0], content[1], content[2])
 
 
 def _of_codes(primaries: int, transfer: int, matrix: int) -> CodedColor | None:
+    """None: not known, or unspecified."""
     if transfer in _HDR:
         raise InputError(f"its colours are made for HDR screens ({_HDR[transfer]}); save it as sRGB")
     if primaries not in _PRIMARIES or transfer not in _GAMMAS or matrix:
-        return CodedColor(
-            notes=(f"its colour space (cICP {primaries}, {transfer}, {matrix}) is not known: taken as sRGB",)
-        )
-    corners, gamma = _PRIMARIES[primaries], _GAMMAS[transfer]
-    return CodedColor(gamma, corners) if corners != _SRGB else CodedColor(gamma) if gamma else None
+        return None
+    corners = _PRIMARIES[primaries]
+    return CodedColor(_GAMMAS[transfer], None if corners == _SRGB else corners, before_profile=True)
+
+
+def _not_known(codes: tuple[int, int, int], info: dict) -> str:
+    others = {"icc_profile", "srgb", "gamma", "chromaticity"} & {*info}
+    instead = "what else its header says is used" if others else "taken as sRGB"
+    return f"its colour space (cICP {', '.join(map(str, codes))}) is not known: {instead}"
 
 
 def _is_triangle(primaries: tuple[float, ...]) -> bool:

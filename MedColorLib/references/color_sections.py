@@ -13,7 +13,6 @@ from ..scan.slices import slice_order
 from ..volume import ColorVolume
 from .photograph import Frame, Reference
 
-COLOR_SUFFIXES = (".nrrd", ".nhdr", ".nii", ".nii.gz", ".mha", ".mhd")
 MOST_SECTIONS = 64  # each of them costs features and a contrast curve
 MAX_BYTES = 8 << 30
 _LEAST_TISSUE = 0.01  # of the largest section's: less than that is not worth a reference

@@ -8,7 +8,6 @@ from __future__ import annotations
 import logging
 import os
 import struct
-import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, BinaryIO
@@ -19,6 +18,7 @@ from ..device import is_out_of_memory
 from ..errors import InputError
 from ..io.label_picture import has_whole_chunks
 from ..io.quiet import quiet_cv2, quiet_package, quiet_stderr
+from ..io.tiff import TIFF_MAX_RATIO, TIFF_STARTS
 from .to_srgb import TAG_GROUPS
 
 if TYPE_CHECKING:
@@ -41,9 +41,8 @@ IS_GREY = "a grey picture; the reference must be a colour photograph (RGB)"
 _RGB, _YCBCR = 2, 6
 _EXTRA = 338
 _BITS, _SAMPLES, _PLANAR, _SEPARATE = 258, 277, 284, 2
-_MAX_RATIO = 4096  # of packed strips; no photograph is packed more than that
+_MOST_PLANES = 4
 _MAX_FILE_BYTES = 2 << 30  # for OpenCV; MAX_PIXELS of four channels with 16 bits and no compression are less
-_TIFF_MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 # PNG, JPEG, GIF, BMP, RIFF: what Pillow does not take for one is damaged; OpenCV would take gigabytes for some of them.
 _PILLOWS = (b"\x89PNG", b"\xff\xd8", b"GIF8", b"BM", b"RIFF")
 _HEIF_BRANDS = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1")
@@ -116,7 +115,7 @@ def checked_unknown(stream: BinaryIO) -> dict:
         raise InputError("a HEIC picture, as telephones store them; export it as JPEG or PNG")
     if start.startswith(_PILLOWS):
         raise InputError(_UNREADABLE)
-    if start[:4] not in _TIFF_MAGIC:
+    if start[:4] not in TIFF_STARTS:
         return {}
     tags = _tiff_tags(stream)
     width, height = tags.get(256), tags.get(257)
@@ -136,22 +135,27 @@ def _tiff_tags(stream: BinaryIO) -> dict:
 
 
 def _from_planes(stream: BinaryIO) -> np.ndarray:
-    """A TIFF with a plane for each colour, which OpenCV reads wrongly."""
+    """A TIFF with a plane for each colour, at most four, which OpenCV reads wrongly."""
     import tifffile
 
     stream.seek(0)
     with decoding(), quiet_package("tifffile"):
         try:
             with tifffile.TiffFile(stream, is_ome=False, _multifile=False) as file:
-                planes = file.pages[0].asarray(maxworkers=1)
+                page = file.pages[0]
+                if page.axes != "SYX" or page.shape[0] > _MOST_PLANES:
+                    sizes = " x ".join(map(str, page.shape))
+                    raise InputError(
+                        f"a TIFF with more than the planes of one colour picture ({sizes}); save it as RGB"
+                    )
+                planes = page.asarray(maxworkers=1)
         except (ValueError, KeyError) as error:
             if "imagecodecs" in str(error):
                 raise InputError(
                     "a TIFF with a packed plane for each colour; save it as an ordinary TIFF or PNG"
                 ) from error
             raise
-    values = np.moveaxis(planes, 0, -1)[..., [2, 1, 0, 3][: min(len(planes), 4)]] if len(planes) > 2 else planes[0]
-    check_size(*values.shape[1::-1])
+    values = np.moveaxis(planes, 0, -1)[..., [2, 1, 0, 3][: len(planes)]] if len(planes) > 2 else planes[0]
     return np.ascontiguousarray(values)
 
 
@@ -184,7 +188,7 @@ def _has_whole_strips(tags: dict, size: int) -> bool:
     if not places or len(places) != len(lengths) or min(rows, tags.get(322, 1), tags.get(323, 1)) < 1:
         return False
     count = -(-width // tags[322]) * -(-height // tags[323]) if tiled else -(-height // rows)
-    packed = 1 if tags.get(259, 1) == 1 else _MAX_RATIO
+    packed = 1 if tags.get(259, 1) == 1 else TIFF_MAX_RATIO
     inside = all(place + length <= size for place, length in zip(places, lengths))
     return inside and len(places) >= count * planes and sum(lengths) * packed >= needed
 
@@ -246,7 +250,7 @@ def stored_values(stream: BinaryIO) -> np.ndarray:
     start = data[:4].tobytes()
     if start == b"\x89PNG" and not has_whole_chunks(memoryview(data)):
         raise InputError(_CUT)
-    if start in _TIFF_MAGIC:
+    if start in TIFF_STARTS:
         tags = _tiff_tags(stream)
         check_strips(tags, size)
         if tags.get(_PLANAR) == _SEPARATE and tags.get(_SAMPLES, 1) > 1:
@@ -271,7 +275,7 @@ def _without_extra(values: np.ndarray, tags: dict) -> np.ndarray:
 
 def _as_stored(data: np.ndarray) -> np.ndarray:
     """The bytes (n,) of a file. A TIFF's orientation becomes 1, in place: which ones OpenCV undoes depends on its version."""
-    if data[:4].tobytes() not in _TIFF_MAGIC:
+    if data[:4].tobytes() not in TIFF_STARTS:
         return data
     order, big = ("<" if data[0] == ord("I") else ">"), ord("+") in data[2:4]
     count, width, offset, at, value = ("Q", 20, "Q", 8, 12) if big else ("H", 12, "I", 4, 8)
@@ -297,20 +301,6 @@ def decoding() -> Iterator[None]:
         raise InputError(
             f"the picture is damaged or cut short ({_one_line(error)}); copy or export it again"
         ) from error
-
-
-@contextmanager
-def quiet_pillow() -> Iterator[None]:
-    """Nothing of Pillow's warnings and log: what matters of it is found out here, and told in one sentence."""
-    logger = logging.getLogger("PIL")
-    level = logger.level
-    logger.setLevel(logging.CRITICAL + 1)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            yield
-    finally:
-        logger.setLevel(level)
 
 
 def _one_line(error: Exception) -> str:

@@ -12,6 +12,7 @@ import numpy as np
 from ..device import is_out_of_memory
 from ..errors import InputError
 from ..io.label_picture import read_label_picture
+from ..io.quiet import quiet_package
 from ..io.usable import usable
 from .decoding import (
     ORIENTATION,
@@ -19,7 +20,6 @@ from .decoding import (
     decoding,
     exif_of,
     opened,
-    quiet_pillow,
     stored_values,
     upright,
 )
@@ -45,18 +45,17 @@ def masks_for(masks: Sequence[str | os.PathLike | None] | None, count: int) -> l
     return [None if mask is None or str(mask) == FIND else Path(mask) for mask in masks]
 
 
-def mask_beside(mask: Path, picture: Path) -> Path | None:
-    """The mask of one picture of a folder: that of the same name in a folder of masks; None where there is none.
+def masks_in(folder: Path) -> dict[str, Path]:
+    """Name without ending -> mask, of the masks for a folder of pictures; of two of one name the first counts.
 
     Raises:
         InputError: a single mask for many pictures.
     """
-    if not mask.is_dir():
+    if not folder.is_dir():
         raise InputError(
-            f"reference mask {mask.name}: the reference is a folder; give a folder of masks of the same names"
+            f"reference mask {folder.name}: the reference is a folder; give a folder of masks of the same names"
         )
-    found = sorted(file for file in pictures_in(mask) if file.stem == picture.stem)
-    return found[0] if found else None
+    return {file.stem: file for file in sorted(pictures_in(folder), reverse=True)}
 
 
 def read_mask(path: Path, shape: tuple[int, int]) -> np.ndarray:
@@ -76,7 +75,7 @@ def read_mask(path: Path, shape: tuple[int, int]) -> np.ndarray:
     if not path.is_file():
         raise InputError(f"reference mask: no file {path}")
     try:
-        with path.open("rb") as stream, quiet_pillow():
+        with path.open("rb") as stream, quiet_package("PIL"):
             mask = _decoded(stream, path, tuple(shape))
     except InputError as error:
         raise InputError(f"reference mask {path.name}: {error}") from error
@@ -99,10 +98,12 @@ def _decoded(stream: BinaryIO, path: Path, shape: tuple[int, int]) -> np.ndarray
         tags = checked_unknown(stream)
         size = (tags[256], tags[257]) if tags else shape[::-1]  # where no header tells, OpenCV's own limit holds
     else:
-        tags, size = exif_of(image), image.size
-    turned = tags.get(ORIENTATION)
+        size = image.size
     if sorted(size) != sorted(shape):  # what lies on its side is turned below
         raise InputError(_of_another_size(size, shape))
+    if image is not None:
+        tags = exif_of(image)  # which decodes a PNG, as they may follow the pixels
+    turned = tags.get(ORIENTATION)
     head = stream.seek(0) or stream.read(26)
     if head[:4] == b"\x89PNG" and head[25:] == bytes([_PALETTE]):
         mask = read_label_picture(path) > 0

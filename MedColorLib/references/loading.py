@@ -12,11 +12,12 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError
+from ..io.folders import VOLUME_ENDINGS
 from ..io.usable import usable
 from ..volume import ColorVolume
-from .color_sections import COLOR_SUFFIXES, read_sections, sections
+from .color_sections import read_sections, sections
 from .exposure import expose
-from .given_mask import mask_beside, masks_for, read_mask
+from .given_mask import masks_for, masks_in, read_mask
 from .library import LONG_SIDE_PX, find_library, no_library, read_index, read_reference, same_places, shrunk
 from .photograph import Reference, prepare_reference
 from .pictures import LONG_SIDE_PX as READ_SIDE_PX
@@ -95,7 +96,7 @@ def _of(item, number: int, mask: Path | None) -> list[Reference]:
 
 
 def _is_volume(path) -> bool:
-    return Path(path).name.lower().endswith(COLOR_SUFFIXES)
+    return Path(path).name.lower().endswith(VOLUME_ENDINGS)
 
 
 def _of_array(picture: np.ndarray, name: str, mask: Path | None) -> Reference:
@@ -120,8 +121,9 @@ def _of_files(files: list[Path], group: str, masks: Path | None = None) -> list[
     """References of the files that can be used; what is left out is said in the notes of the first."""
     found: list[Reference] = []
     left_out: list[str] = []
+    of_name = masks_in(masks) if masks else {}
     for file in files:
-        mask = masks and mask_beside(masks, file)
+        mask = of_name.get(file.stem)
         try:
             reference = replace(read_reference(file, mask), group=group)
             if masks and not mask:

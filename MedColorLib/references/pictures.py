@@ -17,7 +17,7 @@ import numpy as np
 
 from ..device import is_out_of_memory
 from ..errors import InputError
-from ..io.quiet import quiet_stderr
+from ..io.quiet import quiet_package, quiet_stderr
 from ..io.voxel_data import natural_key
 from .coded_color import CodedColor, png_color
 from .decoding import (
@@ -33,7 +33,6 @@ from .decoding import (
     has_16_bits,
     opened,
     pages,
-    quiet_pillow,
     upright,
 )
 from .to_srgb import to_srgb
@@ -92,7 +91,7 @@ def load_picture(path: str | os.PathLike, long_side: int | None = LONG_SIDE_PX) 
     if not os.path.isfile(path):
         raise InputError(f"reference: no file {path}")
     try:
-        with open(path, "rb") as stream, quiet_pillow():
+        with open(path, "rb") as stream, quiet_package("PIL"):
             return _read(stream, name, long_side)
     except InputError as error:
         raise InputError(f"reference {name}: {error}") from error

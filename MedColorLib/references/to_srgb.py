@@ -29,15 +29,16 @@ def to_srgb(
         image: of mode RGB, CMYK or LAB.
         profile: embedded ICC profile, or None.
         exif: nested tags; a camera set to Adobe RGB says so there and embeds no profile (DCF).
-        png: what the header of a PNG says in place of a profile.
+        png: what the header of a PNG says in place of a profile, or before it.
 
     Returns:
         An image of mode RGB, and notes.
     """
-    if png is not None:
+    if png is not None and (png.before_profile or not profile):
         return _decoded(image, png), words(png)
     if profile:
-        return _by_profile(image, profile)
+        converted, notes = _by_profile(image, profile)
+        return converted, (*(png.notes if png else ()), *notes)
     if image.mode == "LAB":
         return _from_lab(image), ()
     if image.mode == "CMYK":

@@ -73,13 +73,13 @@ def test_sizes_are_listed_as_they_are_read(tmp_path: Path) -> None:
     assert list_volumes(tmp_path)[0][0].size == read_volume(tmp_path).array.shape[::-1] == (5, 18, 9)
 
 
-def padded(value: int, photometric: str, signed: int, folder: Path) -> tuple[np.ndarray, np.ndarray]:
+def padded(value: int, photometric: str, signed: int, folder: Path, **rescale: str) -> tuple[np.ndarray, np.ndarray]:
     """Writes slices whose first row is padding; returns them as stored, and where the padding is."""
     where = np.zeros(ARRAY.shape, bool)
     where[:, 0] = True
     stored = np.where(where, value, ARRAY.astype(np.int64) - 150 * signed)
     for number, plane in enumerate(stored):
-        fields = {"PhotometricInterpretation": photometric, "PixelRepresentation": signed}
+        fields = {"PhotometricInterpretation": photometric, "PixelRepresentation": signed, **rescale}
         ds = classic(plane.astype(np.uint16), HEIGHTS[number], number + 1, **fields)
         ds.PixelData = plane.astype("<i2" if signed else "<u2").tobytes()
         ds.add_new(0x00280120, "SS" if signed else "US", value)
@@ -106,6 +106,18 @@ def test_dark_padding_stays(value: int, photometric: str, signed: int, tmp_path:
     volume = read_volume(tmp_path)
     np.testing.assert_array_equal(volume.array, stored)
     assert not volume.notes
+
+
+@pytest.mark.parametrize("slope, intercept", [("-1", "0"), ("-0.5", "100")])
+@pytest.mark.parametrize("value, turned", [(0, True), (65535, False)])
+def test_padding_of_a_falling_scale(value: int, turned: bool, slope: str, intercept: str, tmp_path: Path) -> None:
+    """The smallest stored number becomes the largest value."""
+    stored, where = padded(value, "MONOCHROME2", 0, tmp_path, RescaleSlope=slope, RescaleIntercept=intercept)
+    scaled = stored * float(slope) + float(intercept)
+    least = np.min(scaled, axis=(1, 2), where=~where, initial=99999)[:, None, None]
+    volume = read_volume(tmp_path)
+    np.testing.assert_array_equal(volume.array, np.where(where & turned, least, scaled))
+    assert any("padding is no measurement: it was made as dark" in note for note in volume.notes) == turned
 
 
 def test_a_slice_without_the_scale_of_the_others(tmp_path: Path) -> None:

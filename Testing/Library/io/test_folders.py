@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path
+from pathlib import Path, PurePath
 
 import cv2
+import nibabel as nib
 import numpy as np
 import pytest
 from dicom_samples import classic, planes, save, save_stack
 from volume_samples import LPS, save_nrrd
 
 from MedColorLib.io.dicom import is_dicom
-from MedColorLib.io.files import read_volume
+from MedColorLib.io.files import input_sha256, list_volumes, read_volume
+from MedColorLib.io.folders import look_into
 from MedColorLib.references.color_sections import read_sections
 
 A = planes()
@@ -50,6 +52,39 @@ def test_slices_that_are_named_as_pictures(tmp_path: Path) -> None:
     volume = read_volume(tmp_path)
     np.testing.assert_array_equal(volume.array, A)
     assert not volume.notes
+
+
+def test_many_pictures_beside_many_slices_take_time_in_proportion(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for n in range(50):
+        (tmp_path / f"{n}.png").write_bytes(b"no picture")
+        (tmp_path / f"{n}.dcm").write_bytes(b"no slice")
+    hashed, plain = [], PurePath.__hash__
+    monkeypatch.setattr(PurePath, "__hash__", lambda path: hashed.append(1) or plain(path))
+    assert len(look_into(tmp_path).files) == 50
+    assert len(hashed) <= 200
+
+
+@pytest.mark.parametrize("ending", [".img", ".IMG", ".hdr"])
+def test_slices_that_are_named_as_half_a_pair(ending: str, tmp_path: Path) -> None:
+    save_stack(tmp_path, A, HEIGHTS)
+    for file in sorted(tmp_path.glob("*.dcm")):
+        file.rename(file.with_suffix(ending))
+    one = sorted(tmp_path.iterdir())[0]
+    np.testing.assert_array_equal(read_volume(one).array, A)
+    assert list_volumes(one)[0][0].size == A.shape[::-1]
+    assert input_sha256(one) != input_sha256(tmp_path)
+
+
+def test_voxels_of_a_pair_that_begin_as_dicom_does(tmp_path: Path) -> None:
+    """Labels: group 0008, a length of 8, and behind that the next element of group 0008."""
+    labels = np.zeros((4, 8, 8), np.int16)
+    labels.flat[[0, 2, 8]] = 8
+    nib.save(nib.Nifti1Pair(labels.T, np.eye(4)), tmp_path / "a.img")
+    assert is_dicom(tmp_path / "a.img")
+    for name in ("a.img", "a.hdr"):
+        np.testing.assert_array_equal(read_volume(tmp_path / name).array, labels)
 
 
 @pytest.mark.parametrize("kind", ["dicom", "png", "bmp"])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import struct
+import tracemalloc
 from pathlib import Path
 
 import nibabel as nib
@@ -14,7 +15,8 @@ from volume_samples import LPS, voxels
 
 from MedColorLib.cohort.batch import find_volumes
 from MedColorLib.errors import InputError
-from MedColorLib.io.files import input_sha256, read_volume
+from MedColorLib.io.colors import read_colors
+from MedColorLib.io.files import input_sha256, read_color_volume, read_volume
 
 VALUES = voxels(np.dtype("i2"))  # (k, j, i)
 PLACE = np.array([[-2.0, 0, 0, 10], [0, 0, 4, -20], [0, -3, 0, 30], [0, 0, 0, 1]])
@@ -132,6 +134,34 @@ def test_a_scale_of_a_packed_file(tmp_path: Path) -> None:
     (tmp_path / "b.nii.gz").write_bytes(gzip.compress(path.read_bytes()))
     as_itk(tmp_path / "b.nii.gz")
     assert read_volume(tmp_path / "b.nii.gz").array.dtype == np.float32
+
+
+@pytest.mark.parametrize("ending", ["", ".gz"])
+@pytest.mark.parametrize("channels", [3, 4])
+def test_colours_have_no_scale(channels: int, ending: str, tmp_path: Path, rng: np.random.Generator) -> None:
+    """nifti1.h: scl_slope and scl_inter are not used with RGB."""
+    colors = rng.integers(0, 256, (2, 3, 4, channels), dtype=np.uint8)  # (k, j, i, channel)
+    kind = np.dtype([(name, "u1") for name in "RGBA"[:channels]])
+    nib.save(nib.Nifti1Image(colors.view(kind)[..., 0].T, PLACE), tmp_path / "a.nii")
+    write(tmp_path / "a.nii", 112, "<ff", 2, 7)
+    if ending:
+        (tmp_path / "a.nii.gz").write_bytes(gzip.compress((tmp_path / "a.nii").read_bytes()))
+    np.testing.assert_array_equal(read_colors(tmp_path / f"a.nii{ending}", 1 << 20)[0], colors)
+    if channels == 3:
+        np.testing.assert_array_equal(read_color_volume(tmp_path / f"a.nii{ending}").rgb, colors)
+
+
+def test_a_fourth_axis_of_one_is_scaled_plane_by_plane(tmp_path: Path) -> None:
+    values = np.arange(64**3, dtype="i2").reshape(1, 64, 64, 64)
+    nib.save(nib.Nifti1Image(values.T, PLACE), tmp_path / "a.nii")
+    write(tmp_path / "a.nii", 112, "<ff", 0.5, 7)
+    read_volume(tmp_path / "a.nii")  # modules are loaded
+    tracemalloc.start()
+    array = read_volume(tmp_path / "a.nii").array
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    np.testing.assert_array_equal(array, values[0] * np.float32(0.5) + 7)
+    assert array.dtype == np.float32 and peak < 1.5 * array.nbytes
 
 
 def test_size_of_zero_is_said(tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ from PIL import Image
 
 from MedColorLib.errors import InputError
 from MedColorLib.io.files import list_volumes, read_volume
+from MedColorLib.io.tiff import tiff_stacks
 
 A = np.random.default_rng(8).integers(0, 32768, (6, 7, 9)).astype(np.uint16)
 BYTES = (A >> 7).astype(np.uint8)
@@ -139,3 +140,11 @@ def test_better_slices_go_before_bmp_and_jpeg(tmp_path: Path) -> None:
         Image.fromarray(BYTES[0]).save(tmp_path / f"{n}.jpg")
     volume = read_volume(tmp_path)
     np.testing.assert_array_equal(volume.array, BYTES)
+
+
+def test_a_file_of_previews_alone_names_them(tmp_path: Path) -> None:
+    with tifffile.TiffWriter(tmp_path / "a.tif") as writer:
+        for size in (4, 8):
+            plane = np.arange(3 * size * size, dtype=np.uint8).reshape(3, size, size)
+            writer.write(plane, photometric="minisblack", subfiletype=1)
+    assert [stack.label for stack in tiff_stacks(tmp_path / "a.tif")] == ["series 1", "series 2"]

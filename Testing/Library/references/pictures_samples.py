@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+
 import numpy as np
 
 SHAPE = (40, 60)
@@ -18,6 +20,27 @@ STORED = {
     7: lambda a: a[::-1, ::-1].transpose(1, 0, 2),
     8: lambda a: np.rot90(a, -1),
 }
+D50 = (0.9642, 1.0, 0.8249)
+SRGB_D50 = np.array([[0.4361, 0.2225, 0.0139], [0.3851, 0.7169, 0.0971], [0.1431, 0.0606, 0.7141]])
+
+
+def matrix_profile(primaries, gamma: float, name: str, space: bytes = b"RGB ") -> bytes:
+    """An ICC profile, version 2, of three primaries (rows: XYZ of D50) and one gamma."""
+    s15 = lambda values: b"".join(struct.pack(">i", round(v * 65536)) for v in values)  # noqa: E731
+    text = name.encode()
+    description = b"desc" + bytes(4) + struct.pack(">I", len(text) + 1) + text + b"\0" + bytes(4 + 4 + 2 + 1 + 67)
+    curve = b"curv" + bytes(4) + struct.pack(">IH", 1, round(gamma * 256))
+    tags = {b"desc": description, b"cprt": b"text" + bytes(4) + b"none\0", b"wtpt": b"XYZ " + bytes(4) + s15(D50)}
+    for letter, xyz in zip(b"rgb", primaries):
+        tags[bytes([letter]) + b"XYZ"] = b"XYZ " + bytes(4) + s15(xyz)
+        tags[bytes([letter]) + b"TRC"] = curve
+    at, table, data = 128 + 4 + 12 * len(tags), b"", b""
+    for tag, content in tags.items():
+        table += tag + struct.pack(">II", at + len(data), len(content))
+        data += content + bytes(-len(content) % 4)
+    header = struct.pack(">I4sI4s4s4s", at + len(data), b"none", 0x02100000, b"mntr", space, b"XYZ ")
+    header += bytes(12) + b"acsp" + bytes(28) + s15(D50)
+    return header.ljust(128, b"\0") + struct.pack(">I", len(tags)) + table + data
 
 
 def far(picture, expected) -> float:

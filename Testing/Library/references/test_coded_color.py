@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from pictures_samples import far
+from pictures_samples import SRGB_D50, far, matrix_profile
 from PIL import Image, ImageCms
 
 from MedColorLib.errors import InputError
@@ -81,6 +81,8 @@ def test_numbers_in_place_of_a_profile(chunks, look, words, deep, colors, tmp_pa
         [gama(0.4545), chunk(b"sRGB", b"\0")],
         [chunk(b"sRGB", b"\0"), gama(1.0), chrm(P3_XY)],
         [chunk(b"cICP", bytes([1, 13, 0, 1])), gama(1 / 2.2)],
+        [chunk(b"cICP", bytes([1, 4, 0, 1]))],
+        [chunk(b"cICP", bytes([1, 13, 0, 1])), gama(1.0), chrm(P3_XY)],
     ],
 )
 def test_srgb_changes_nothing(chunks, colors, tmp_path) -> None:
@@ -93,6 +95,37 @@ def test_a_profile_goes_before_gamma(colors, tmp_path) -> None:
     profile = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
     save(tmp_path / "p.png", colors, chunk(b"iCCP", b"x\0\0" + zlib.compress(profile)), gama(1.0))
     assert far(load_picture(tmp_path / "p.png").rgb, colors) == 0
+
+
+LIGHT = matrix_profile(SRGB_D50, 1.0, "Light")
+ICCP = chunk(b"iCCP", b"x\0\0" + zlib.compress(LIGHT))
+
+
+@pytest.mark.parametrize(
+    "chunks, look, words",
+    [
+        ([], lambda c: c, "is not known: taken as sRGB"),
+        ([ICCP, gama(1 / 1.8)], lambda c: shown(c / 255), "converted from its colour profile (Light)"),
+        ([chunk(b"sRGB", b"\0"), gama(1.0)], lambda c: c, "is not known: what else its header says is used"),
+        ([gama(1 / 1.8)], lambda c: shown((c / 255) ** 1.8), "gamma 0.556 of"),
+        ([gama(1.0), chrm(P3_XY)], lambda c: shown((c / 255) @ P3.T), "gamma 1 and the primary colours"),
+    ],
+)
+def test_codes_that_say_nothing_leave_it_to_the_rest(chunks, look, words, colors, tmp_path) -> None:
+    """2: unspecified (ITU-T H.273)."""
+    save(tmp_path / "p.png", colors, chunk(b"cICP", bytes([2, 2, 0, 1])), *chunks)
+    picture = load_picture(tmp_path / "p.png")
+    assert far(picture.rgb, look(colors)) <= 2
+    assert "its colour space (cICP 2, 2, 0) is not known" in picture.notes[0] and words in picture.notes[-1]
+
+
+@pytest.mark.parametrize(
+    "codes, look, notes", [((1, 13), lambda c: c, 0), ((12, 13), lambda c: shown(linear(c) @ P3.T), 1)]
+)
+def test_codes_that_are_known_go_before_a_profile(codes, look, notes, colors, tmp_path) -> None:
+    save(tmp_path / "p.png", colors, chunk(b"cICP", bytes([*codes, 0, 1])), ICCP)
+    picture = load_picture(tmp_path / "p.png")
+    assert far(picture.rgb, look(colors)) <= (2 if notes else 0) and len(picture.notes) == notes
 
 
 @pytest.mark.parametrize(

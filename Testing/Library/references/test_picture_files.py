@@ -147,6 +147,21 @@ class TestFormats:
         tifffile.imwrite(tmp_path / "p.tif", planes, compression=compression, **options)
         assert far(load_picture(tmp_path / "p.tif").rgb, colors) == 0
 
+    @pytest.mark.parametrize("dtype", ["u1", "u2"])
+    @pytest.mark.parametrize("channels, depth", [(5, 1), (300, 1), (3, 8)])
+    def test_more_planes_than_colours_are_never_decoded(self, channels, depth, dtype, tmp_path, monkeypatch):
+        """Their number is not in the size of the picture, and would multiply the memory that this bounds."""
+        import tifffile
+
+        planes = np.zeros((channels, depth, *SHAPE), dtype)
+        options = {"photometric": "rgb", "planarconfig": "separate", "volumetric": depth > 1}
+        tifffile.imwrite(tmp_path / "p.tif", planes if depth > 1 else planes[:, 0], **options)
+        reached: list = []
+        monkeypatch.setattr(tifffile.TiffPage, "asarray", lambda *_, **__: reached.append(1))
+        with pytest.raises(InputError, match=r"reference p\.tif: a TIFF with .* save it as RGB"):
+            load_picture(tmp_path / "p.tif")
+        assert not reached
+
     @pytest.mark.parametrize("order", ["<", ">"])
     @pytest.mark.parametrize("dtype", ["u1", "u2"])
     @pytest.mark.parametrize("big", [False, True])

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 from pictures_samples import STORED
-from PIL import Image
+from PIL import Image, PngImagePlugin
 from scipy.ndimage import gaussian_filter
 
 from MedColorLib.errors import InputError, SettingsError
@@ -18,6 +18,7 @@ from MedColorLib.phantom import section
 from MedColorLib.references import given_mask
 from MedColorLib.references.loading import describe_references, load_references
 from MedColorLib.references.photograph import prepare_reference
+from MedColorLib.references.pictures import pictures_in
 from MedColorLib.references.tissue_mask import FILLS, find_tissue, tissue_mask
 
 SKIN, FAT, MUSCLE, BONE = (196, 150, 118), (226, 196, 124), (122, 52, 44), (232, 218, 184)
@@ -171,6 +172,20 @@ class TestGiven:
         np.testing.assert_array_equal(second.mask, second.frame.cut(half))
         assert "no mask of its name in masks: its tissue was found" in first.notes and not second.notes
 
+    def test_a_folder_of_masks_is_looked_through_once(self, tmp_path, monkeypatch):
+        picture, truth = body(BACKGROUNDS["wood"])
+        for folder in ("photographs", "masks"):
+            (tmp_path / folder).mkdir()
+        for number in range(4):
+            cv2.imwrite(str(tmp_path / "photographs" / f"{number}.png"), picture[..., ::-1])
+        for ending in ("bmp", "png"):  # of two of one name the first
+            cv2.imwrite(str(tmp_path / "masks" / f"1.{ending}"), truth * np.uint8(255 if ending == "bmp" else 0))
+        looked = []
+        monkeypatch.setattr(given_mask, "pictures_in", lambda folder: looked.append(folder) or pictures_in(folder))
+        found = load_references([tmp_path / "photographs"], masks=[str(tmp_path / "masks")])
+        assert len(found) == 4 and looked == [tmp_path / "masks"]
+        np.testing.assert_array_equal(found[1].mask, found[1].frame.cut(truth))
+
     @pytest.mark.parametrize("ending", [".png", ".tif", ".jpg"])
     @pytest.mark.parametrize("number", [2, 3, 6, 8])
     def test_a_mask_is_turned_as_its_header_says(self, number, ending, tmp_path):
@@ -191,8 +206,11 @@ class TestGiven:
         data[29:33] = struct.pack(">I", zlib.crc32(data[12:29]))
         (tmp_path / "m.png").write_bytes(data)
         monkeypatch.setattr(given_mask, "stored_values", None)  # would raise TypeError
+        reached: list = []
+        monkeypatch.setattr(PngImagePlugin.PngImageFile, "load", lambda _: reached.append(1))
         with pytest.raises(InputError, match=r"reference mask m\.png: .*(the photograph has 300 x 240|megapixels)"):
             load_references([body(BACKGROUNDS["wood"])[0]], masks=[str(tmp_path / "m.png")])
+        assert not reached
 
     @pytest.mark.parametrize(
         ("mask", "message"),
