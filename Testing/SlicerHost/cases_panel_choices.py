@@ -227,6 +227,17 @@ def test_cancelled_between_volumes_keeps_what_is_done(three, library):
     assert "Cancelled" in text and "Coloured before that: head coloured" in text
 
 
+def test_module_left_between_volumes(three, library):
+    import qt
+
+    mark(three, "knee")
+    library.pause_seconds = 0.1
+    qt.QTimer.singleShot(30, three.exit)
+    three.ui.applyButton.click()
+    assert names_of_results() == ["head coloured", "knee coloured"]
+    assert three.ui.statusLabel.text.startswith("Done")
+
+
 def test_a_marked_volume_that_goes_is_said_or_forgotten(three, library):
     import qt
 
