@@ -227,6 +227,41 @@ def test_cancelled_between_volumes_keeps_what_is_done(three, library):
     assert "Cancelled" in text and "Coloured before that: head coloured" in text
 
 
+@pytest.mark.parametrize("done", [True, False])
+def test_after_cancel_the_text_says_what_was_and_what_was_not_coloured(three, library, done):
+    mark(three, "knee")
+    mark(three, "hand")
+    fails = 2 if done else 1
+
+    def spoil():
+        library.error = InputError("too dark; open the window") if len(library.calls) == fails else None
+        if len(library.calls) == fails + 1:
+            three.job.cancel()
+
+    library.in_the_middle = spoil
+    three.ui.applyButton.click()
+    text = three.ui.statusLabel.text
+    assert names_of_results() == (["head coloured"] if done else [])
+    assert text.startswith("Cancelled")
+    assert ("the scene is as it was" in text) is not done
+    assert ("Coloured before that: head coloured." in text) is done
+    assert ("knee" if done else "head") + ": too dark; open the window" in text
+
+
+def test_failed_runs_do_not_speak_of_groups(three, library, monkeypatch):
+    from MedColorSlicer import panel_run
+
+    monkeypatch.setattr(panel_run, "grouped_by_name", lambda _node: True)
+    mark(three, "knee")
+    library.error = InputError("too dark; open the window")
+    three.ui.applyButton.click()
+    assert "too dark" in three.ui.statusLabel.text
+    assert "grouped" not in three.ui.statusLabel.text
+    library.error = None
+    three.ui.applyButton.click()
+    assert "grouped" in three.ui.statusLabel.text
+
+
 def test_module_left_between_volumes(three, library):
     import qt
 
