@@ -34,7 +34,7 @@ class LivePart:
         self.panel, self.ui = panel, panel.ui
         self._nodes: dict = {}  # view -> its picture
         self._shown: dict = {}  # view -> what its picture answers
-        self._earlier: dict = {}  # view -> (composite, foreground, opacity) before
+        self._earlier: dict = {}  # view -> (composite, background, foreground, opacity) before
         self._session, self._key = None, None
         self._worker, self._answers, self._stop = None, queue.SimpleQueue(), threading.Event()
         self._stale, self._pending, self._note, self._limit = False, False, "", ""
@@ -118,9 +118,10 @@ class LivePart:
         self._say("")
         nodes, self._nodes = self._nodes, {}
         earlier, self._earlier = self._earlier, {}
-        for composite, foreground, opacity in earlier.values():
-            ours = {node.GetID() for node in nodes.values()}
+        ours = {node.GetID() for node in nodes.values()}
+        for composite, background, foreground, opacity in earlier.values():
             if slicer.mrmlScene.IsNodePresent(composite) and composite.GetForegroundVolumeID() in ours:
+                composite.SetBackgroundVolumeID(background)
                 composite.SetForegroundVolumeID(foreground)
                 composite.SetForegroundOpacity(opacity)
         for node in nodes.values():
@@ -262,8 +263,8 @@ class LivePart:
         scene.fill_part(node, np.stack([rgb] * 3, axis=axis), grey, offset)
         composite = _composite_of(view)
         if composite is not None and composite.GetForegroundVolumeID() != node.GetID():
-            before = (composite, composite.GetForegroundVolumeID(), composite.GetForegroundOpacity())
-            self._earlier.setdefault(view, before)
+            before = (composite.GetBackgroundVolumeID(), composite.GetForegroundVolumeID())
+            self._earlier.setdefault(view, (composite, *before, composite.GetForegroundOpacity()))
             composite.SetBackgroundVolumeID(grey.GetID())
             composite.SetForegroundVolumeID(node.GetID())
             composite.SetForegroundOpacity(p.fade)

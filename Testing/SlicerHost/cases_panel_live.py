@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import slicer
-from host_fixtures import color_node, label_node, node_ids
+from host_fixtures import color_node, grey_node, label_node, node_ids
 from panel_fixtures import turned, ui_settled, wait_for
 
 pytest.importorskip("torch", reason="the library needs torch")
@@ -125,10 +125,6 @@ def test_picture_lies_where_the_slice_is(ready, views):
         assert abs(at - middle) <= (bounds[2 * axis + 1] - bounds[2 * axis]) / 6 + 1e-6, "within its middle voxel"
 
 
-def end_by_apply(panel):
-    panel.ui.applyButton.click()
-
-
 def end_by_hand(panel):
     panel.ui.followCheckBox.click()
 
@@ -138,6 +134,8 @@ def test_leaves_the_views_as_they_were(ready, views, end):
     other = color_node(np.zeros((2, 2, 2, 3), np.uint8), "other")
     views["Red"][1].SetForegroundVolumeID(other.GetID())
     views["Red"][1].SetForegroundOpacity(0.25)
+    beneath = grey_node("beneath")
+    views["Red"][1].SetBackgroundVolumeID(beneath.GetID())
     before = node_ids(slicer.mrmlScene)
     ready.ui.followCheckBox.click()
     settled(ready)
@@ -148,6 +146,7 @@ def test_leaves_the_views_as_they_were(ready, views, end):
     if end is end_by_hand:
         assert views["Red"][1].GetForegroundVolumeID() == other.GetID()
         assert views["Red"][1].GetForegroundOpacity() == 0.25
+        assert views["Red"][1].GetBackgroundVolumeID() == beneath.GetID()
         assert node_ids(slicer.mrmlScene) == before
 
 
