@@ -82,7 +82,8 @@ class MedColorLogic(ScriptedLoadableModuleLogic):
                 segments are grouped by what they are called.
             body: what is coloured: "auto", "all", or a label map or segmentation node, not 0 where the body is.
             referenceMasks: what is tissue in the references, for each, in order, or None where it is found: for a path
-                that of a picture, for a node a label map, segmentation or picture node of the same size.
+                that of a picture, for a node a label map, segmentation or picture node of the same size; for an array
+                the path of a picture, or a fourth channel of its own.
 
         Returns:
             vtkMRMLVectorVolumeNode with the colours, under the input's transform and subject-hierarchy folder.
