@@ -122,7 +122,8 @@ class MedColorLogic(ScriptedLoadableModuleLogic):
             sequence: vtkMRMLSequenceNode of scalar volumes.
             references, settings, progress, cancelled, run, options: as for `process`.
             nodes: {name: value} of further arguments of `process`: roi, labels, labelGroups, body, referenceLabels,
-                referenceMasks; the same for every time point.
+                referenceMasks; the same for every time point. Nodes of roi, labels and body lie where the time points
+                do: not where a transform of the volume that plays them shows them.
 
         Returns:
             vtkMRMLSequenceNode of vector volumes, in step with the sequence in the browsers that play it. All time points
@@ -135,7 +136,8 @@ class MedColorLogic(ScriptedLoadableModuleLogic):
 
         settings = given.settings_of(settings, options)
         volumes = sequences.volumes_of(sequence)
-        work = [given.take(node, references, settings, **(nodes or {})) for node in volumes]
+        sequences.check_place(sequence, nodes or {})
+        work = given.take_all(volumes, references, settings, nodes or {})
 
         def compute():
             return [one.colorize(sequences.share_of(progress, n, len(work)), cancelled) for n, one in enumerate(work)]
