@@ -160,11 +160,15 @@ class MedColorLogic(ScriptedLoadableModuleLogic):
 
         Returns:
             A vector volume node of one slice (three voxels thick), at its place in space; not saved with the scene.
+
+        Raises:
+            MedColorLib.errors.MedColorError: as for `process`, or the slice lies outside the region.
         """
         import MedColorLib
         from MedColorLib.volume import ColorVolume
 
         settings = given.draft(settings or MedColorLib.Settings(), (sliceIndex, sliceIndex + 1))
+        self._check_in_region(nodes.get("roi"), inputVolume, sliceIndex, settings.plane)
         work = given.take(inputVolume, references, settings, **nodes)
         voxels = scene.voxel_state(inputVolume)
 
@@ -297,6 +301,20 @@ class MedColorLogic(ScriptedLoadableModuleLogic):
         if output_node is input_node or not output_node.IsA("vtkMRMLVectorVolumeNode"):
             raise InputError(
                 _("{name} cannot take colours; select a vector volume or none.").format(name=output_node.GetName())
+            )
+
+    @staticmethod
+    def _check_in_region(roi, input_node, index: int, plane: str) -> None:
+        from MedColorLib.errors import InputError
+
+        if roi is None or scene.input_problem(input_node):  # which is said when the volume is taken
+            return
+        start, stop = scene.slices_of_region(scene.region_from_roi(roi, input_node), input_node, plane)
+        if not start <= index < stop:
+            raise InputError(
+                _(
+                    "The red view shows slice {index}, outside the region {name}; scroll into it or select no region."
+                ).format(index=index, name=roi.GetName())
             )
 
     @staticmethod

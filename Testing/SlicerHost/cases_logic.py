@@ -180,6 +180,24 @@ def test_preview_is_one_slice_at_its_place_and_not_saved(logic, library):
     assert node.GetOrigin()[2] == pytest.approx(5.0 - 2.5)
 
 
+@pytest.mark.parametrize("flip", [1.0, -1.0])
+def test_preview_outside_the_region_is_said(logic, library, flip):
+    grey = grey_node(shape=(20, 20, 20), matrix=np.diag([1.0, 1.0, flip, 1.0]))
+    roi = slicer.mrmlScene.AddNewNodeByClass("vtkMRMLMarkupsROINode")
+    roi.SetName("knee box")
+    roi.SetXYZ(10, 10, 4 * flip)
+    roi.SetRadiusXYZ(3, 3, 2)
+    inside = range(2, 7) if flip > 0 else range(13, 18)  # counted from the feet up
+    for index in (inside[0] - 1, inside[-1] + 1):
+        with pytest.raises(InputError, match=f"red view shows slice {index}, outside the region knee box; scroll"):
+            logic.preview(grey, [REFERENCE], index, roi=roi)
+    assert not library.calls
+    for index in (inside[0], inside[-1]):
+        logic.preview(grey, [REFERENCE], index, roi=roi)
+    with pytest.raises(InputError, match="Select a volume"):
+        logic.preview(None, [REFERENCE], 3, roi=roi)
+
+
 def test_only_rgb_volumes_are_shown(logic):
     for node in (None, grey_node(), color_node(np.zeros((2, 2, 2, 3), np.uint16))):
         with pytest.raises(InputError, match="RGB"):
