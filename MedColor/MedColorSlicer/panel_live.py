@@ -187,7 +187,7 @@ class LivePart:
         """What the kept part of the work depends on: everything but what is seen at once."""
         plain = dataclasses.replace(settings, lightness=1.0, exposure="auto", confidence=False, preset="draft")
         choices = (p.referenceSource, p.referencePath, p.pickedReference, p.referenceMaskPath)
-        nodes = [node.GetMTime() if node else 0 for node in (p.referenceMaskNode, p.roi)]
+        nodes = [p.roi.GetMTime() if p.roi else 0, labels.state_of(p.referenceMaskNode)]
         nodes.append(scene.voxel_state(p.referenceNode) if p.referenceNode else ())
         body = labels.state_of(p.bodyNode if p.body == "node" else None)
         place = scene.ijk_to_world(p.inputVolume).tobytes()

@@ -107,6 +107,36 @@ def test_mask_that_marks_nothing_is_said(ready, library):
     assert not library.calls
 
 
+def test_an_edited_segmentation_is_another_mask_of_the_reference(ready, library):
+    """For the plan and the live preview; the node itself is not modified by that."""
+    from MedColorSlicer.panel_live import LivePart
+    from MedColorSlicer.parameters import settings_from
+
+    p, module_logic = ready.parameters, slicer.vtkSlicerSegmentationsModuleLogic()
+    module_logic.SetMRMLScene(slicer.mrmlScene)
+    drawn = label_node(mask_voxels(), "drawn")
+    p.referenceMaskNode = slicer.mrmlScene.AddNewNodeByClass("vtkMRMLSegmentationNode", "mask")
+    assert module_logic.ImportLabelmapToSegmentationNode(drawn, p.referenceMaskNode)
+    ui_settled()
+
+    def states():
+        return p.referenceMaskNode.GetMTime(), ready.nodes.state(), LivePart._question(p, settings_from(p))
+
+    before = states()
+    assert states() == before
+    segmentation = p.referenceMaskNode.GetSegmentation()
+    painted = slicer.vtkOrientedImageData()
+    painted.DeepCopy(segmentation.GetNthSegment(0).GetRepresentation("Binary labelmap"))
+    painted.GetPointData().GetScalars().Fill(1)
+    edit = module_logic.SetBinaryLabelmapToSegment  # as the Segment Editor does
+    assert edit(painted, p.referenceMaskNode, segmentation.GetNthSegmentID(0), module_logic.MODE_REPLACE)
+    after = states()
+    assert after[0] == before[0]
+    assert after[1] != before[1]
+    assert after[2] != before[2]
+    module_logic.SetMRMLScene(None)
+
+
 def test_mask_of_a_file_is_a_file(ready, library, tmp_path):
     ui, picture, mask = ready.ui, tmp_path / "section.png", tmp_path / "mask.png"
     for path in (picture, mask):
