@@ -140,8 +140,10 @@ class LivePart:
         if missing:
             self._say(missing)
             return
+        from MedColorLib.run.live import Look, live_settings
+
         try:
-            settings = settings_from(p)
+            settings = live_settings(settings_from(p))
         except Exception as error:  # a value that the library does not take; the plan says so, too
             self._say(panel.explain(error))
             return
@@ -153,8 +155,6 @@ class LivePart:
             return
         planes, tilted = planes_of_views(p.inputVolume)
         self._limit = self._limits(p, tilted)
-        from MedColorLib.run.live import Look
-
         look = Look(settings.lightness, settings.exposure)
         wanted = {view: (key, look, *plane) for view, plane in planes.items()}
         wanted = {view: question for view, question in wanted.items() if self._shown.get(view) != question}
@@ -185,7 +185,7 @@ class LivePart:
     @staticmethod
     def _question(p, settings) -> tuple:
         """What the kept part of the work depends on: everything but what is seen at once."""
-        plain = dataclasses.replace(settings, lightness=1.0, exposure="auto", confidence=False, preset="draft")
+        plain = dataclasses.replace(settings, lightness=1.0, exposure="auto")
         choices = (p.referenceSource, p.referencePath, p.pickedReference, p.referenceMaskPath)
         nodes = [p.roi.GetMTime() if p.roi else 0, labels.state_of(p.referenceMaskNode)]
         nodes.append(scene.voxel_state(p.referenceNode) if p.referenceNode else ())

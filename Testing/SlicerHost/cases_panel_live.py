@@ -184,6 +184,23 @@ def test_another_volume_is_looked_at_anew_and_what_is_missing_is_said(ready, vie
     assert ready.ui.followCheckBox.enabled, "to unmark it"
 
 
+def test_choices_that_it_does_not_use_change_nothing(ready, views, sessions):
+    p = ready.parameters
+    ready.ui.followCheckBox.click()
+    settled(ready)
+    p.features, p.preset, p.confidence = "embedded", "full", True
+    settled(ready)
+    p.firstSlice, p.lastSlice, p.allSlices = 0, 1, False
+    settled(ready)
+    assert len(sessions.made) == 1
+    assert len(sessions.planes) == 3
+    ready.ui.roiSelector.addNode()
+    p.roi.SetSize(*(2 * [500.0]), 12.0)  # meets none of those slices
+    settled(ready)
+    assert len(sessions.made) == 2
+    assert not ready.ui.statusLabel.text
+
+
 def test_errors_and_limits_are_said(ready, views):
     ready.parameters.referenceNode = color_node(np.full((1, 64, 64, 3), 90, np.uint8), "grey picture")
     ready.ui.followCheckBox.click()
