@@ -78,8 +78,8 @@ class MedColorLogic(ScriptedLoadableModuleLogic):
             referenceLabels: the same labels drawn on the references: for each, in order, a PNG, an (H, W) array of whole
                 numbers, a label map node, or None. Without them only colour is kept apart.
             labelGroups: {label: group}; labels of one group count as one. Those of a segmentation are 1, 2, ... in the
-                order of its segments. "tissue": by what segments are called. At most 16 groups; without groups more
-                segments are grouped by what they are called.
+                order of its segments. "tissue": by what segments are called. At most 16 groups. Without groups
+                more than 15 segments are grouped by what they are called.
             body: what is coloured: "auto", "all", or a label map or segmentation node, not 0 where the body is.
             referenceMasks: what is tissue in the references, for each, in order, or None where it is found: for a path
                 that of a picture, for a node a label map, segmentation or picture node of the same size; for an array
@@ -94,8 +94,17 @@ class MedColorLogic(ScriptedLoadableModuleLogic):
         start = time.monotonic()
         settings = given.settings_of(settings, options)
         self._check_output(outputVolume, inputVolume)
-        nodes = {"roi": roi, "labels": labels, "referenceLabels": referenceLabels, "labelGroups": labelGroups}
-        work = given.take(inputVolume, references, settings, body=body, referenceMasks=referenceMasks, **nodes)
+        work = given.take(
+            inputVolume,
+            references,
+            settings,
+            roi=roi,
+            labels=labels,
+            referenceLabels=referenceLabels,
+            labelGroups=labelGroups,
+            body=body,
+            referenceMasks=referenceMasks,
+        )
         voxels = scene.voxel_state(inputVolume)
 
         spacing = inputVolume.GetSpacing()

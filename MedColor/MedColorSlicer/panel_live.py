@@ -13,14 +13,14 @@ import vtk
 from slicer.i18n import tr as _
 from slicer.util import VTKObservationMixin
 
-from . import dependencies, given, labels, running, scene
+from . import comparison, dependencies, given, labels, running, scene
+from .panel_preview import PARALLEL_COSINE
 from .parameters import settings_from
 
 VIEWS = ("Red", "Yellow", "Green")
 _DELAY_MS, _POLL_MS = 10, 5
 _WAIT_SECONDS = 0.03  # in each poll the worker gets the interpreter for this long
 _PATIENCE_SECONDS = 5.0
-_TILT = 0.9998  # cosine of the angle between slice and view up to which they count as parallel: about 1 degree
 
 
 class LivePart:
@@ -261,7 +261,8 @@ class LivePart:
         offset = [0, 0, 0]
         offset[2 - axis] = index - 1
         scene.fill_part(node, np.stack([rgb] * 3, axis=axis), grey, offset)
-        composite = _composite_of(view)
+        composites = comparison.composites(slicer.mrmlScene)
+        composite = next((one for one in composites if one.GetLayoutName() == view), None)
         if composite is not None and composite.GetForegroundVolumeID() != node.GetID():
             before = (composite.GetBackgroundVolumeID(), composite.GetForegroundVolumeID())
             self._earlier.setdefault(view, (composite, *before, composite.GetForegroundOpacity()))
@@ -305,16 +306,10 @@ def planes_of_views(node) -> tuple[dict, list]:
         normals = [np.cross(axes[:, (n + 1) % 3], axes[:, (n + 2) % 3]) for n in range(3)]
         fits = [abs(normal @ matrix[:3, 2]) / np.linalg.norm(normal) for normal in normals]
         best = int(np.argmax(fits))
-        if fits[best] < _TILT:
+        if fits[best] < PARALLEL_COSINE:
             tilted.append(shown.GetName())
             continue
         index = round(float((to_ijk @ matrix[:, 3])[best]))
         if 0 <= index < counts[best]:
             found[view] = (2 - best, index)
     return found, tilted
-
-
-def _composite_of(view: str):
-    kind = "vtkMRMLSliceCompositeNode"
-    nodes = [slicer.mrmlScene.GetNthNodeByClass(n, kind) for n in range(slicer.mrmlScene.GetNumberOfNodesByClass(kind))]
-    return next((node for node in nodes if node.GetLayoutName() == view), None)
