@@ -61,7 +61,7 @@ def _layout(scene):
 
 def overlay(scene, grey_node, color_node, fade: float) -> None:
     """Colour over grey in every slice view."""
-    for composite in _composites(scene):
+    for composite in composites(scene):
         composite.SetBackgroundVolumeID(grey_node.GetID() if grey_node else None)
         composite.SetForegroundVolumeID(color_node.GetID() if color_node else None)
     set_fade(scene, fade)
@@ -69,11 +69,12 @@ def overlay(scene, grey_node, color_node, fade: float) -> None:
 
 def set_fade(scene, fade: float) -> None:
     """Opacity 0..1 of what lies in front in every slice view."""
-    for composite in _composites(scene):
+    for composite in composites(scene):
         composite.SetForegroundOpacity(min(max(float(fade), 0.0), 1.0))
 
 
-def _composites(scene) -> list:
+def composites(scene) -> list:
+    """What says for each slice view which volumes it shows."""
     name = "vtkMRMLSliceCompositeNode"
     return [scene.GetNthNodeByClass(n, name) for n in range(scene.GetNumberOfNodesByClass(name))]
 

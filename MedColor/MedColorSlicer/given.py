@@ -60,6 +60,19 @@ def take(  # the keywords are those of `MedColorLogic.process`
     return Given(volume, pictures, settings, guard)
 
 
+def take_all(volumes: list, references, settings, nodes: dict) -> list[Given]:
+    """`take` for each of several volumes with the same further nodes; once for all that lie on one grid."""
+    first: dict[tuple, Given] = {}
+    found = []
+    for node in volumes:
+        grid = (node.GetImageData().GetDimensions(), scene.ijk_to_world(node).tobytes())
+        if grid in first:
+            found.append(dataclasses.replace(first[grid], volume=scene.volume_from_node(node)))
+        else:
+            found.append(first.setdefault(grid, take(node, references, settings, **nodes)))
+    return found
+
+
 def settings_of(settings, options):
     """Settings with fields replaced by name.
 

@@ -33,8 +33,16 @@ def state_of(node) -> tuple:
     """What changes whenever the labels of a node do; for a plan that need not be asked for again."""
     if node is None:
         return ()
-    inner = node.GetSegmentation() if node.IsA("vtkMRMLSegmentationNode") else node.GetImageData()
-    return (node.GetID(), inner.GetMTime() if inner else 0)
+    drawn = node.IsA("vtkMRMLSegmentationNode")
+    inner = node.GetSegmentation() if drawn else node.GetImageData()
+    return (node.GetID(), inner.GetMTime() if inner else 0, *(_segment_times(inner) if drawn and inner else ()))
+
+
+def _segment_times(segmentation) -> list[int]:
+    """Of every segment and its voxels: the segmentation itself is not modified when they are painted."""
+    segments = [segmentation.GetNthSegment(n) for n in range(segmentation.GetNumberOfSegments())]
+    voxels = [segment.GetRepresentation(segmentation.GetSourceRepresentationName()) for segment in segments]
+    return [one.GetMTime() for one in (*segments, *voxels) if one is not None]
 
 
 def guard_from(node, input_node, reference_labels=None, groups=None):

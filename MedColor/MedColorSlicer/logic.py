@@ -78,11 +78,12 @@ class MedColorLogic(ScriptedLoadableModuleLogic):
             referenceLabels: the same labels drawn on the references: for each, in order, a PNG, an (H, W) array of whole
                 numbers, a label map node, or None. Without them only colour is kept apart.
             labelGroups: {label: group}; labels of one group count as one. Those of a segmentation are 1, 2, ... in the
-                order of its segments. "tissue": by what segments are called. At most 16 groups; without groups more
-                segments are grouped by what they are called.
+                order of its segments. "tissue": by what segments are called. At most 16 groups. Without groups
+                more than 15 segments are grouped by what they are called.
             body: what is coloured: "auto", "all", or a label map or segmentation node, not 0 where the body is.
             referenceMasks: what is tissue in the references, for each, in order, or None where it is found: for a path
-                that of a picture, for a node a label map, segmentation or picture node of the same size.
+                that of a picture, for a node a label map, segmentation or picture node of the same size; for an array
+                the path of a picture, or a fourth channel of its own.
 
         Returns:
             vtkMRMLVectorVolumeNode with the colours, under the input's transform and subject-hierarchy folder.
@@ -93,8 +94,17 @@ class MedColorLogic(ScriptedLoadableModuleLogic):
         start = time.monotonic()
         settings = given.settings_of(settings, options)
         self._check_output(outputVolume, inputVolume)
-        nodes = {"roi": roi, "labels": labels, "referenceLabels": referenceLabels, "labelGroups": labelGroups}
-        work = given.take(inputVolume, references, settings, body=body, referenceMasks=referenceMasks, **nodes)
+        work = given.take(
+            inputVolume,
+            references,
+            settings,
+            roi=roi,
+            labels=labels,
+            referenceLabels=referenceLabels,
+            labelGroups=labelGroups,
+            body=body,
+            referenceMasks=referenceMasks,
+        )
         voxels = scene.voxel_state(inputVolume)
 
         spacing = inputVolume.GetSpacing()
@@ -121,7 +131,8 @@ class MedColorLogic(ScriptedLoadableModuleLogic):
             sequence: vtkMRMLSequenceNode of scalar volumes.
             references, settings, progress, cancelled, run, options: as for `process`.
             nodes: {name: value} of further arguments of `process`: roi, labels, labelGroups, body, referenceLabels,
-                referenceMasks; the same for every time point.
+                referenceMasks; the same for every time point. Nodes of roi, labels and body lie where the time points
+                do: not where a transform of the volume that plays them shows them.
 
         Returns:
             vtkMRMLSequenceNode of vector volumes, in step with the sequence in the browsers that play it. All time points
@@ -134,7 +145,8 @@ class MedColorLogic(ScriptedLoadableModuleLogic):
 
         settings = given.settings_of(settings, options)
         volumes = sequences.volumes_of(sequence)
-        work = [given.take(node, references, settings, **(nodes or {})) for node in volumes]
+        sequences.check_place(sequence, nodes or {})
+        work = given.take_all(volumes, references, settings, nodes or {})
 
         def compute():
             return [one.colorize(sequences.share_of(progress, n, len(work)), cancelled) for n, one in enumerate(work)]
@@ -157,11 +169,15 @@ class MedColorLogic(ScriptedLoadableModuleLogic):
 
         Returns:
             A vector volume node of one slice (three voxels thick), at its place in space; not saved with the scene.
+
+        Raises:
+            MedColorLib.errors.MedColorError: as for `process`, or the slice lies outside the region.
         """
         import MedColorLib
         from MedColorLib.volume import ColorVolume
 
         settings = given.draft(settings or MedColorLib.Settings(), (sliceIndex, sliceIndex + 1))
+        self._check_in_region(nodes.get("roi"), inputVolume, sliceIndex, settings.plane)
         work = given.take(inputVolume, references, settings, **nodes)
         voxels = scene.voxel_state(inputVolume)
 
@@ -294,6 +310,20 @@ class MedColorLogic(ScriptedLoadableModuleLogic):
         if output_node is input_node or not output_node.IsA("vtkMRMLVectorVolumeNode"):
             raise InputError(
                 _("{name} cannot take colours; select a vector volume or none.").format(name=output_node.GetName())
+            )
+
+    @staticmethod
+    def _check_in_region(roi, input_node, index: int, plane: str) -> None:
+        from MedColorLib.errors import InputError
+
+        if roi is None or scene.input_problem(input_node):  # which is said when the volume is taken
+            return
+        start, stop = scene.slices_of_region(scene.region_from_roi(roi, input_node), input_node, plane)
+        if not start <= index < stop:
+            raise InputError(
+                _(
+                    "The red view shows slice {index}, outside the region {name}; scroll into it or select no region."
+                ).format(index=index, name=roi.GetName())
             )
 
     @staticmethod

@@ -13,14 +13,14 @@ import vtk
 from slicer.i18n import tr as _
 from slicer.util import VTKObservationMixin
 
-from . import dependencies, given, labels, running, scene
+from . import comparison, dependencies, given, labels, running, scene
+from .panel_preview import PARALLEL_COSINE
 from .parameters import settings_from
 
 VIEWS = ("Red", "Yellow", "Green")
 _DELAY_MS, _POLL_MS = 10, 5
 _WAIT_SECONDS = 0.03  # in each poll the worker gets the interpreter for this long
 _PATIENCE_SECONDS = 5.0
-_TILT = 0.9998  # cosine of the angle between slice and view up to which they count as parallel: about 1 degree
 
 
 class LivePart:
@@ -34,7 +34,7 @@ class LivePart:
         self.panel, self.ui = panel, panel.ui
         self._nodes: dict = {}  # view -> its picture
         self._shown: dict = {}  # view -> what its picture answers
-        self._earlier: dict = {}  # view -> (composite, foreground, opacity) before
+        self._earlier: dict = {}  # view -> (composite, background, foreground, opacity) before
         self._session, self._key = None, None
         self._worker, self._answers, self._stop = None, queue.SimpleQueue(), threading.Event()
         self._stale, self._pending, self._note, self._limit = False, False, "", ""
@@ -118,9 +118,10 @@ class LivePart:
         self._say("")
         nodes, self._nodes = self._nodes, {}
         earlier, self._earlier = self._earlier, {}
-        for composite, foreground, opacity in earlier.values():
-            ours = {node.GetID() for node in nodes.values()}
+        ours = {node.GetID() for node in nodes.values()}
+        for composite, background, foreground, opacity in earlier.values():
             if slicer.mrmlScene.IsNodePresent(composite) and composite.GetForegroundVolumeID() in ours:
+                composite.SetBackgroundVolumeID(background)
                 composite.SetForegroundVolumeID(foreground)
                 composite.SetForegroundOpacity(opacity)
         for node in nodes.values():
@@ -139,8 +140,10 @@ class LivePart:
         if missing:
             self._say(missing)
             return
+        from MedColorLib.run.live import Look, live_settings
+
         try:
-            settings = settings_from(p)
+            settings = live_settings(settings_from(p))
         except Exception as error:  # a value that the library does not take; the plan says so, too
             self._say(panel.explain(error))
             return
@@ -152,8 +155,6 @@ class LivePart:
             return
         planes, tilted = planes_of_views(p.inputVolume)
         self._limit = self._limits(p, tilted)
-        from MedColorLib.run.live import Look
-
         look = Look(settings.lightness, settings.exposure)
         wanted = {view: (key, look, *plane) for view, plane in planes.items()}
         wanted = {view: question for view, question in wanted.items() if self._shown.get(view) != question}
@@ -184,9 +185,9 @@ class LivePart:
     @staticmethod
     def _question(p, settings) -> tuple:
         """What the kept part of the work depends on: everything but what is seen at once."""
-        plain = dataclasses.replace(settings, lightness=1.0, exposure="auto", confidence=False, preset="draft")
+        plain = dataclasses.replace(settings, lightness=1.0, exposure="auto")
         choices = (p.referenceSource, p.referencePath, p.pickedReference, p.referenceMaskPath)
-        nodes = [node.GetMTime() if node else 0 for node in (p.referenceMaskNode, p.roi)]
+        nodes = [p.roi.GetMTime() if p.roi else 0, labels.state_of(p.referenceMaskNode)]
         nodes.append(scene.voxel_state(p.referenceNode) if p.referenceNode else ())
         body = labels.state_of(p.bodyNode if p.body == "node" else None)
         place = scene.ijk_to_world(p.inputVolume).tobytes()
@@ -260,10 +261,11 @@ class LivePart:
         offset = [0, 0, 0]
         offset[2 - axis] = index - 1
         scene.fill_part(node, np.stack([rgb] * 3, axis=axis), grey, offset)
-        composite = _composite_of(view)
+        composites = comparison.composites(slicer.mrmlScene)
+        composite = next((one for one in composites if one.GetLayoutName() == view), None)
         if composite is not None and composite.GetForegroundVolumeID() != node.GetID():
-            before = (composite, composite.GetForegroundVolumeID(), composite.GetForegroundOpacity())
-            self._earlier.setdefault(view, before)
+            before = (composite.GetBackgroundVolumeID(), composite.GetForegroundVolumeID())
+            self._earlier.setdefault(view, (composite, *before, composite.GetForegroundOpacity()))
             composite.SetBackgroundVolumeID(grey.GetID())
             composite.SetForegroundVolumeID(node.GetID())
             composite.SetForegroundOpacity(p.fade)
@@ -304,16 +306,10 @@ def planes_of_views(node) -> tuple[dict, list]:
         normals = [np.cross(axes[:, (n + 1) % 3], axes[:, (n + 2) % 3]) for n in range(3)]
         fits = [abs(normal @ matrix[:3, 2]) / np.linalg.norm(normal) for normal in normals]
         best = int(np.argmax(fits))
-        if fits[best] < _TILT:
+        if fits[best] < PARALLEL_COSINE:
             tilted.append(shown.GetName())
             continue
         index = round(float((to_ijk @ matrix[:, 3])[best]))
         if 0 <= index < counts[best]:
             found[view] = (2 - best, index)
     return found, tilted
-
-
-def _composite_of(view: str):
-    kind = "vtkMRMLSliceCompositeNode"
-    nodes = [slicer.mrmlScene.GetNthNodeByClass(n, kind) for n in range(slicer.mrmlScene.GetNumberOfNodesByClass(kind))]
-    return next((node for node in nodes if node.GetLayoutName() == view), None)

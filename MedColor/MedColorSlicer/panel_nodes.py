@@ -56,8 +56,9 @@ class NodesPart:
     def state(self) -> tuple:
         """What changes whenever one of the nodes does; for a plan that need not be asked for again."""
         p = self.panel.parameters
-        marks = [node.GetMTime() if node else 0 for node in (p.roi, p.referenceNode, p.referenceMaskNode)]
-        return (*marks, labels.state_of(p.labels), labels.state_of(p.bodyNode if p.body == "node" else None))
+        marks = [node.GetMTime() if node else 0 for node in (p.roi, p.referenceNode)]
+        drawn = (p.referenceMaskNode, p.labels, p.bodyNode if p.body == "node" else None)
+        return (*marks, *(labels.state_of(node) for node in drawn))
 
     def problem(self) -> str:
         """Why nothing can be coloured with these, as a sentence; empty if it can."""

@@ -9,7 +9,7 @@ from slicer.i18n import tr as _
 from . import comparison, scene
 from .parameters import settings_from
 
-_TILT = 0.9998  # cosine of the angle between slice and view up to which they count as parallel: about 1 degree
+PARALLEL_COSINE = 0.9998  # of the angle between slice and view up to which they count as parallel: about 1 degree
 
 
 class PreviewPart:
@@ -101,7 +101,7 @@ def _parallel(view, node) -> bool:
     normal = np.cross(rows, columns)
     to_ras = view.GetSliceToRAS()
     shown = [to_ras.GetElement(axis, 2) for axis in range(3)]
-    return abs(normal @ shown) >= _TILT * np.linalg.norm(normal)
+    return abs(normal @ shown) >= PARALLEL_COSINE * np.linalg.norm(normal)
 
 
 def current_slice(node) -> int:

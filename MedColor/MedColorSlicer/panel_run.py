@@ -48,33 +48,34 @@ class Runs:
 
         p = self._parameterNode
         choices = Choices(self.inputs.references(), settings_from(p), self.nodes.arguments())
-        volumes, done, failed = self.volumes.chosen(), [], []
-        for number, grey in enumerate(volumes):
-            report = sequences.share_of(job.progress, number, len(volumes), grey.GetName())
+        work = [(grey, self.volumes.sequence_of(grey)) for grey in self.volumes.chosen()]  # the panel may be left
+        done, failed = [], []
+        for number, (grey, sequence) in enumerate(work):
+            report = sequences.share_of(job.progress, number, len(work), grey.GetName())
             try:
-                done.append(self._colour(job, p, grey, choices, report))
+                done.append(self._colour(job, p, grey, sequence, choices, report))
             except Cancelled as error:
                 if not done:
-                    raise
-                return " ".join(
-                    [self.explain(error), _("Coloured before that: {names}.").format(names=", ".join(done))]
-                )
+                    return " ".join([self.explain(error), *failed])
+                text = _("Coloured before that: {names}.").format(names=", ".join(done))
+                return " ".join([job.reason or _("Cancelled."), text, *failed])
             except Exception as error:
-                if len(volumes) == 1:
+                if len(work) == 1:
                     raise
                 failed.append(f"{grey.GetName()}: {self.explain(error)}")
         self.preview.remove()
+        if not done:
+            return " ".join(failed)
         text = _("Done in {time}: {names}.").format(
             time=running.readable_seconds(job.elapsed_seconds()), names=", ".join(done)
         )
         if grouped_by_name(p.labels):
-            failed.append(_("The segments were grouped by what they are called; the log has the groups."))
-        return " ".join([text, *failed] if done else failed)
+            text += " " + _("The segments were grouped by what they are called; the log has the groups.")
+        return " ".join([text, *failed])
 
-    def _colour(self, job, p, grey, choices, report):
+    def _colour(self, job, p, grey, sequence, choices, report):
         """One volume, or every time point of its sequence; returns the name of the result."""
-        sequence = self.volumes.sequence_of(grey)
-        if sequence is not None:
+        if sequence is not None and grey.GetScene() is not None:  # it may have been removed since Apply
             return self._colourSequence(job, p, grey, sequence, choices, report)
         output = p.outputVolume if grey is p.inputVolume else scene.result_of(grey)
         if sequences.sequence_of(output) is not None:
@@ -161,12 +162,12 @@ class Runs:
             self.update()
 
     def _onSpoiled(self):
-        self.job.cancel(_("The volume was changed while it was being coloured; nothing was changed. Apply again."))
+        self.job.cancel(_("The volume was changed while it was being coloured, which ended the run. Apply again."))
 
     def stopFor(self, node):
         """A node was removed: the run that needs it ends."""
         if self.job and node in self._inWork:
-            self.job.cancel(_("{name} was removed; the rest of the scene is as it was.").format(name=node.GetName()))
+            self.job.cancel(_("{name} was removed, which ended the run.").format(name=node.GetName()))
 
     def runResponsive(self, function):
         """Compute in a worker thread while the window lives on."""

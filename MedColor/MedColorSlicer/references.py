@@ -110,11 +110,11 @@ def _is_path(value) -> bool:
 
 def _picture(reference, mask, input_node):
     """One reference as the library takes it, with the mask in it where that is a node."""
+    from MedColorLib.errors import InputError
+
     if _is_path(reference):
         pictures_in(os.fspath(reference))
         if mask is not None and not _is_path(mask):
-            from MedColorLib.errors import InputError
-
             raise InputError(
                 _("{name} is a file: its mask is a picture file, too. Load it as a volume to use a node.").format(
                     name=os.path.basename(os.fspath(reference))
@@ -122,6 +122,8 @@ def _picture(reference, mask, input_node):
             )
         return os.fspath(reference)
     if reference is not None and not hasattr(reference, "IsA"):
+        if mask is not None and not _is_path(mask):
+            raise InputError(_("A reference that is an array takes its mask as a fourth channel or a picture file."))
         return reference
     picture = picture_from_node(reference, input_node)
     return picture if mask is None or _is_path(mask) else reference_masks.with_mask(picture, mask, reference)

@@ -180,12 +180,12 @@ def take_cut_of(display, other) -> None:
     display.SetCroppingEnabled(bool(other and other.GetCroppingEnabled()))
 
 
-_known_axis: list = [None, None]  # voxel state of the volume that was measured last, and what was found
+_known_axis: list = [None, None]  # state of the volume that was measured last, and what was found
 
 
 def measured_axis(volume_node) -> dict:
     """Luminance range (as Slicer computes alpha) and opacity unit distance in millimetres of an RGB volume."""
-    state = scene.voxel_state(volume_node)
+    state = _state(volume_node)
     if _known_axis[0] != state:
         _known_axis[:] = state, _measured(volume_node)
     return dict(_known_axis[1])
@@ -193,7 +193,12 @@ def measured_axis(volume_node) -> dict:
 
 def know_axis(volume_node, axis: dict) -> None:
     """What `axis_of` found in a worker for the voxels of a volume, so that it need not be measured while the window waits."""
-    _known_axis[:] = scene.voxel_state(volume_node), axis
+    _known_axis[:] = _state(volume_node), axis
+
+
+def _state(volume_node) -> tuple:
+    """What changes whenever the axis of a volume may: its voxels, and their size."""
+    return (scene.voxel_state(volume_node), volume_node.GetSpacing())
 
 
 def axis_of(rgb, spacing_mm) -> dict:

@@ -86,10 +86,21 @@ def run_responsive(function, keep_alive, poll_seconds: float = _POLL_SECONDS):
     return outcome["result"]
 
 
+class _Workers:
+    """How many workers compute, and the threads of torch and OpenCV before the first of them came."""
+
+    def __init__(self) -> None:
+        self.lock, self.inside, self.threads = threading.Lock(), 0, (1, 1)
+
+
+_workers = _Workers()
+
+
 @contextlib.contextmanager
 def a_core_for_the_window():
     """For a worker: torch and OpenCV leave one processor core to Slicer's window; afterwards they have their threads back.
 
+    Workers may overlap (a live preview that is ending, a run): the last one that leaves gives the threads back.
     MedColorLib is imported before torch, which reads on import how its threads are to wait for each other.
     """
     import MedColorLib  # noqa: F401
@@ -102,14 +113,20 @@ def a_core_for_the_window():
         return
     from MedColorLib.device import leave_cores_free
 
-    before = torch.get_num_threads(), cv2.getNumThreads()
-    if max(before) >= (os.cpu_count() or 1):  # fewer were set: by the user, or because cores are counted twice
-        leave_cores_free(1)
+    with _workers.lock:
+        if not _workers.inside:
+            _workers.threads = torch.get_num_threads(), cv2.getNumThreads()
+            if max(_workers.threads) >= (os.cpu_count() or 1):  # fewer: set by the user, or cores are counted twice
+                leave_cores_free(1)
+        _workers.inside += 1
     try:
         yield
     finally:
-        torch.set_num_threads(before[0])
-        cv2.setNumThreads(before[1])
+        with _workers.lock:
+            _workers.inside -= 1
+            if not _workers.inside:
+                torch.set_num_threads(_workers.threads[0])
+                cv2.setNumThreads(_workers.threads[1])
 
 
 class _redirected_log:  # used like a function

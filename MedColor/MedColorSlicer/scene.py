@@ -171,13 +171,17 @@ def with_region(settings, region, input_node):
         return settings
     from MedColorLib.errors import InputError
 
-    order, count = stack_of(input_node, settings.plane)
-    start, stop = region[order.axes[0]]
-    if order.flips[0]:
-        start, stop = count - stop, count - start
+    start, stop = slices_of_region(region, input_node, settings.plane)
     if settings.slices and max(start, settings.slices[0]) >= min(stop, settings.slices[1]):
         raise InputError(_("The region of interest meets none of the chosen slices; move it or choose all slices."))
     return dataclasses.replace(settings, region=region)
+
+
+def slices_of_region(region, node, plane: str = "transverse") -> tuple[int, int]:
+    """Half-open range of the slices of a stack that a region ((k0, k1), (j0, j1), (i0, i1)) of the array meets."""
+    order, count = stack_of(node, plane)
+    start, stop = region[order.axes[0]]
+    return (count - stop, count - start) if order.flips[0] else (start, stop)
 
 
 def stack_of(node, plane: str = "transverse"):

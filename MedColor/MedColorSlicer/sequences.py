@@ -28,6 +28,32 @@ def volumes_of(sequence) -> list:
     return found
 
 
+def check_place(sequence, nodes: dict) -> None:
+    """A transform moves the volume that plays a sequence, but not its time points, which lie in a scene of their own.
+
+    Args:
+        nodes: {name: value} as for `MedColorLogic.processSequence`.
+
+    Raises:
+        MedColorLib.errors.InputError: a region, labels or a body would lie beside what they were placed on.
+    """
+    from MedColorLib.errors import InputError
+
+    if not any(hasattr(nodes.get(name), "IsA") for name in ("roi", "labels", "body")):
+        return
+    for browser in browsers_of(sequence) if sequence.GetScene() else ():
+        player = browser.GetProxyNode(sequence)
+        transform = player.GetParentTransformNode() if player is not None else None
+        if transform is not None:
+            raise InputError(
+                _(
+                    "{name} is played under the transform {transform}, of which its time points know nothing: region, tissue "
+                    "labels and body would lie elsewhere. Take {name} and them out of the transform (module Transforms), or "
+                    "select no region, labels and body."
+                ).format(name=player.GetName(), transform=transform.GetName())
+            )
+
+
 def sequence_of(volume):
     """The sequence of which a volume shows a time point (it is the "proxy" of a browser); None where it is none."""
     if volume is None or volume.GetScene() is None:

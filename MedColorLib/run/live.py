@@ -76,7 +76,7 @@ class LiveSlices:
         settings: Settings | None = None,
         cancelled: Callable[[], bool] | None = None,
     ) -> None:
-        """Args as for `pipeline.colorize`; preset, features, smoother and slices of the settings are not used.
+        """Args as for `pipeline.colorize`; what `live_settings` changes in the settings is not used.
 
         Raises:
             As `colorize`.
@@ -84,7 +84,7 @@ class LiveSlices:
         self.cancelled = cancelled  # may be exchanged between two slices
         self._run = Run(None, lambda: bool(self.cancelled and self.cancelled()))
         self._sources = references
-        self._settings = _quick(settings or Settings())
+        self._settings = live_settings(settings or Settings())
         self._run.step(0.0, "preparing")
         with self._run.timed("prepare"):
             self._prepared = prepare(volume, references, self._settings)
@@ -257,7 +257,8 @@ class LiveSlices:
         return rgb
 
 
-def _quick(settings: Settings) -> Settings:
+def live_settings(settings: Settings) -> Settings:
+    """What live slices use of settings: the same for all that differ only in what they leave aside."""
     own = settings.resolved_smoother == "regression"
     return replace(
         settings,

@@ -9,7 +9,7 @@ import threading
 import numpy as np
 import pytest
 import slicer
-from host_fixtures import color_node, grey_node, node_ids
+from host_fixtures import color_node, grey_node, label_node, node_ids
 
 from MedColorLib.errors import Cancelled, InputError, MedColorError, SettingsError
 
@@ -52,6 +52,26 @@ def test_kinds_of_references(logic, library, tmp_path, kind):
     assert [r if isinstance(r, str) else r.shape for r in got] == {
         "path": [path], "folder": [str(tmp_path)], "node": [(4, 5, 3)], "array": [(4, 5, 3)], "list": [path, (4, 5, 3)],
     }[kind]  # fmt: skip
+
+
+def test_mask_of_an_array_is_no_node_and_what_is_advised_works(logic, library, tmp_path):
+    from PIL import Image
+
+    from MedColorLib.references.loading import load_references
+
+    picture = np.random.default_rng(0).integers(0, 256, (16, 16, 3), np.uint8)
+    tissue = np.zeros((16, 16), np.uint8)
+    tissue[2:14, 3:12] = 255
+    with pytest.raises(InputError, match="fourth channel or a picture file"):
+        logic.process(grey_node(), [picture], referenceMasks=[label_node((tissue[None] > 0).astype(np.uint8))])
+    assert not library.calls
+    path = tmp_path / "mask.png"
+    Image.fromarray(tissue).save(path)
+    logic.process(grey_node(), [picture], referenceMasks=[str(path)])
+    logic.process(grey_node(), [np.dstack([picture, tissue])])
+    for _volume, given, settings in library.calls:
+        (reference,) = load_references(given, masks=settings.reference_masks)
+        assert reference.mask.sum() == 12 * 9
 
 
 def test_rerun_updates_the_same_node_and_keeps_the_user_rendering(logic, library):
@@ -158,6 +178,24 @@ def test_preview_is_one_slice_at_its_place_and_not_saved(logic, library):
     assert not node.GetSaveWithScene()
     assert logic.preview(grey, [REFERENCE], 2, previous=node) is node
     assert node.GetOrigin()[2] == pytest.approx(5.0 - 2.5)
+
+
+@pytest.mark.parametrize("flip", [1.0, -1.0])
+def test_preview_outside_the_region_is_said(logic, library, flip):
+    grey = grey_node(shape=(20, 20, 20), matrix=np.diag([1.0, 1.0, flip, 1.0]))
+    roi = slicer.mrmlScene.AddNewNodeByClass("vtkMRMLMarkupsROINode")
+    roi.SetName("knee box")
+    roi.SetXYZ(10, 10, 4 * flip)
+    roi.SetRadiusXYZ(3, 3, 2)
+    inside = range(2, 7) if flip > 0 else range(13, 18)  # counted from the feet up
+    for index in (inside[0] - 1, inside[-1] + 1):
+        with pytest.raises(InputError, match=f"red view shows slice {index}, outside the region knee box; scroll"):
+            logic.preview(grey, [REFERENCE], index, roi=roi)
+    assert not library.calls
+    for index in (inside[0], inside[-1]):
+        logic.preview(grey, [REFERENCE], index, roi=roi)
+    with pytest.raises(InputError, match="Select a volume"):
+        logic.preview(None, [REFERENCE], 3, roi=roi)
 
 
 def test_only_rgb_volumes_are_shown(logic):

@@ -72,9 +72,14 @@ def sound(panel):
     for _turn in range(2):
         if panel.parameters is None:
             panel.enter()
-        assert panel.ui.applyButton.enabled is (not panel.whatIsMissing())
-        assert panel.ui.applyButton.toolTip
+        says_how_things_stand(panel)
         panel.exit()
+
+
+def says_how_things_stand(panel):
+    missing = panel.whatIsMissing()
+    assert panel.ui.applyButton.enabled is (not missing)
+    assert panel.ui.applyButton.toolTip == (missing or "Colour the volume.")
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -86,7 +91,7 @@ def test_anything_may_happen_to_any_node(full, kind):
         if slicer.mrmlScene.IsNodePresent(node):
             happens(kind, node)
             ui_settled()
-            assert full.ui.applyButton.toolTip
+            says_how_things_stand(full)
     sound(full)
 
 

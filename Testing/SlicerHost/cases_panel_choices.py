@@ -107,6 +107,36 @@ def test_mask_that_marks_nothing_is_said(ready, library):
     assert not library.calls
 
 
+def test_an_edited_segmentation_is_another_mask_of_the_reference(ready, library):
+    """For the plan and the live preview; the node itself is not modified by that."""
+    from MedColorSlicer.panel_live import LivePart
+    from MedColorSlicer.parameters import settings_from
+
+    p, module_logic = ready.parameters, slicer.vtkSlicerSegmentationsModuleLogic()
+    module_logic.SetMRMLScene(slicer.mrmlScene)
+    drawn = label_node(mask_voxels(), "drawn")
+    p.referenceMaskNode = slicer.mrmlScene.AddNewNodeByClass("vtkMRMLSegmentationNode", "mask")
+    assert module_logic.ImportLabelmapToSegmentationNode(drawn, p.referenceMaskNode)
+    ui_settled()
+
+    def states():
+        return p.referenceMaskNode.GetMTime(), ready.nodes.state(), LivePart._question(p, settings_from(p))
+
+    before = states()
+    assert states() == before
+    segmentation = p.referenceMaskNode.GetSegmentation()
+    painted = slicer.vtkOrientedImageData()
+    painted.DeepCopy(segmentation.GetNthSegment(0).GetRepresentation("Binary labelmap"))
+    painted.GetPointData().GetScalars().Fill(1)
+    edit = module_logic.SetBinaryLabelmapToSegment  # as the Segment Editor does
+    assert edit(painted, p.referenceMaskNode, segmentation.GetNthSegmentID(0), module_logic.MODE_REPLACE)
+    after = states()
+    assert after[0] == before[0]
+    assert after[1] != before[1]
+    assert after[2] != before[2]
+    module_logic.SetMRMLScene(None)
+
+
 def test_mask_of_a_file_is_a_file(ready, library, tmp_path):
     ui, picture, mask = ready.ui, tmp_path / "section.png", tmp_path / "mask.png"
     for path in (picture, mask):
@@ -225,6 +255,52 @@ def test_cancelled_between_volumes_keeps_what_is_done(three, library):
     assert names_of_results() == ["head coloured"]
     text = three.ui.statusLabel.text
     assert "Cancelled" in text and "Coloured before that: head coloured" in text
+
+
+@pytest.mark.parametrize("done", [True, False])
+def test_after_cancel_the_text_says_what_was_and_what_was_not_coloured(three, library, done):
+    mark(three, "knee")
+    mark(three, "hand")
+    fails = 2 if done else 1
+
+    def spoil():
+        library.error = InputError("too dark; open the window") if len(library.calls) == fails else None
+        if len(library.calls) == fails + 1:
+            three.job.cancel()
+
+    library.in_the_middle = spoil
+    three.ui.applyButton.click()
+    text = three.ui.statusLabel.text
+    assert names_of_results() == (["head coloured"] if done else [])
+    assert text.startswith("Cancelled")
+    assert ("the scene is as it was" in text) is not done
+    assert ("Coloured before that: head coloured." in text) is done
+    assert ("knee" if done else "head") + ": too dark; open the window" in text
+
+
+def test_failed_runs_do_not_speak_of_groups(three, library, monkeypatch):
+    from MedColorSlicer import panel_run
+
+    monkeypatch.setattr(panel_run, "grouped_by_name", lambda _node: True)
+    mark(three, "knee")
+    library.error = InputError("too dark; open the window")
+    three.ui.applyButton.click()
+    assert "too dark" in three.ui.statusLabel.text
+    assert "grouped" not in three.ui.statusLabel.text
+    library.error = None
+    three.ui.applyButton.click()
+    assert "grouped" in three.ui.statusLabel.text
+
+
+def test_module_left_between_volumes(three, library):
+    import qt
+
+    mark(three, "knee")
+    library.pause_seconds = 0.1
+    qt.QTimer.singleShot(30, three.exit)
+    three.ui.applyButton.click()
+    assert names_of_results() == ["head coloured", "knee coloured"]
+    assert three.ui.statusLabel.text.startswith("Done")
 
 
 def test_a_marked_volume_that_goes_is_said_or_forgotten(three, library):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import slicer
-from host_fixtures import color_node, label_node, node_ids
+from host_fixtures import color_node, grey_node, label_node, node_ids
 from panel_fixtures import turned, ui_settled, wait_for
 
 pytest.importorskip("torch", reason="the library needs torch")
@@ -125,10 +125,6 @@ def test_picture_lies_where_the_slice_is(ready, views):
         assert abs(at - middle) <= (bounds[2 * axis + 1] - bounds[2 * axis]) / 6 + 1e-6, "within its middle voxel"
 
 
-def end_by_apply(panel):
-    panel.ui.applyButton.click()
-
-
 def end_by_hand(panel):
     panel.ui.followCheckBox.click()
 
@@ -138,6 +134,8 @@ def test_leaves_the_views_as_they_were(ready, views, end):
     other = color_node(np.zeros((2, 2, 2, 3), np.uint8), "other")
     views["Red"][1].SetForegroundVolumeID(other.GetID())
     views["Red"][1].SetForegroundOpacity(0.25)
+    beneath = grey_node("beneath")
+    views["Red"][1].SetBackgroundVolumeID(beneath.GetID())
     before = node_ids(slicer.mrmlScene)
     ready.ui.followCheckBox.click()
     settled(ready)
@@ -148,6 +146,7 @@ def test_leaves_the_views_as_they_were(ready, views, end):
     if end is end_by_hand:
         assert views["Red"][1].GetForegroundVolumeID() == other.GetID()
         assert views["Red"][1].GetForegroundOpacity() == 0.25
+        assert views["Red"][1].GetBackgroundVolumeID() == beneath.GetID()
         assert node_ids(slicer.mrmlScene) == before
 
 
@@ -183,6 +182,23 @@ def test_another_volume_is_looked_at_anew_and_what_is_missing_is_said(ready, vie
     settled(ready)
     assert "Select a colour volume" in ready.ui.statusLabel.text
     assert ready.ui.followCheckBox.enabled, "to unmark it"
+
+
+def test_choices_that_it_does_not_use_change_nothing(ready, views, sessions):
+    p = ready.parameters
+    ready.ui.followCheckBox.click()
+    settled(ready)
+    p.features, p.preset, p.confidence = "embedded", "full", True
+    settled(ready)
+    p.firstSlice, p.lastSlice, p.allSlices = 0, 1, False
+    settled(ready)
+    assert len(sessions.made) == 1
+    assert len(sessions.planes) == 3
+    ready.ui.roiSelector.addNode()
+    p.roi.SetSize(*(2 * [500.0]), 12.0)  # meets none of those slices
+    settled(ready)
+    assert len(sessions.made) == 2
+    assert not ready.ui.statusLabel.text
 
 
 def test_errors_and_limits_are_said(ready, views):

@@ -358,3 +358,44 @@ def test_worker_leaves_a_core_to_the_window(ready, library, monkeypatch, there, 
     finally:
         torch.set_num_threads(before[0])
         cv2.setNumThreads(before[1])
+
+
+def test_workers_side_by_side_give_the_threads_back(monkeypatch, qt_host):
+    """The second comes while the first computes, and stays longer: it must not take the reduced number for the usual one."""
+    import threading
+
+    import cv2
+    import torch
+    from MedColorSlicer import running
+
+    monkeypatch.setattr(running.os, "cpu_count", lambda: 4)
+    before = torch.get_num_threads(), cv2.getNumThreads()
+    inside, leave, seen = [threading.Event() for _ in range(2)], [threading.Event() for _ in range(2)], []
+
+    def work(n):
+        with running.a_core_for_the_window():
+            inside[n].set()
+            leave[n].wait(30)
+            seen.append((torch.get_num_threads(), cv2.getNumThreads()))
+
+    def threads_of_a_new_worker():
+        worker = threading.Thread(target=lambda: seen.append((torch.get_num_threads(), cv2.getNumThreads())))
+        worker.start()
+        worker.join()
+        return seen.pop()
+
+    torch.set_num_threads(4)
+    cv2.setNumThreads(4)
+    try:
+        workers = [threading.Thread(target=work, args=(n,)) for n in range(2)]
+        for n, worker in enumerate(workers):
+            worker.start()
+            assert inside[n].wait(30)
+        for n, worker in enumerate(workers):
+            leave[n].set()
+            worker.join()
+            assert threads_of_a_new_worker() == [(3, 3), (4, 4)][n]
+        assert seen == [(3, 3), (3, 3)]
+    finally:
+        torch.set_num_threads(before[0])
+        cv2.setNumThreads(before[1])

@@ -272,3 +272,15 @@ def test_a_worker_measures_the_same_axis_as_slicer(scene, rendering, kind):
     assert rendering.measured_axis(node)["unit_mm"] == 7.0
     slicer.util.updateVolumeFromArray(node, rgb)
     assert rendering.measured_axis(node) == measured
+
+
+@pytest.mark.parametrize("known", [True, False], ids=["from a worker", "measured here"])
+def test_unit_distance_follows_a_corrected_spacing(scene, rendering, known):
+    """The voxels are the same, their size is not."""
+    node = color_node(two_colors(16, 6))
+    first = rendering.axis_of(slicer.util.arrayFromVolume(node), node.GetSpacing())
+    if known:
+        rendering.know_axis(node, first)
+    assert rendering.measured_axis(node) == first
+    node.SetSpacing(3, 3, 3)
+    assert rendering.measured_axis(node) == rendering._measured(node) != first

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import slicer
-from host_fixtures import grey_node, node_ids
+from host_fixtures import grey_node, label_node, node_ids
+from panel_fixtures import turned
 
 from MedColorLib.errors import Cancelled, InputError
 
@@ -60,6 +61,53 @@ def test_every_time_point_is_coloured_and_played(logic, library):
     assert fractions == sorted(fractions)
     assert seen[-1][1].startswith("time point 3 of 3")
     assert [call[2].preset for call in library.calls] == ["draft"] * 3
+
+
+def roi_node():
+    roi = slicer.mrmlScene.AddNewNodeByClass("vtkMRMLMarkupsROINode")
+    roi.SetXYZ(4, 4, 3)
+    roi.SetRadiusXYZ(2, 2, 2)
+    return roi
+
+
+NODES = {"roi": roi_node, "labels": label_node, "body": label_node}
+
+
+@pytest.mark.parametrize("kind", NODES)
+def test_nodes_of_the_scene_are_refused_where_the_player_lies_under_a_transform(logic, library, kind):
+    sequence, browser = sequence_of()
+    players = slicer.vtkSlicerSequencesLogic()
+    players.SetMRMLScene(slicer.mrmlScene)
+    players.UpdateProxyNodesFromSequences(browser)
+    try:
+        player, nodes = browser.GetProxyNode(sequence), {kind: NODES[kind]()}
+        player.SetAndObserveTransformNodeID(turned(slicer.mrmlScene, 30).GetID())
+        with pytest.raises(InputError, match=r"under the transform turn, .* out of the transform"):
+            logic.processSequence(sequence, [REFERENCE], nodes=nodes)
+        assert not library.calls
+        logic.processSequence(sequence, [REFERENCE], nodes={"roi": None, "labels": None, "body": "all"})
+        player.SetAndObserveTransformNodeID(None)
+        logic.processSequence(sequence, [REFERENCE], nodes=nodes)
+        assert len(library.calls) == 6
+    finally:
+        players.SetMRMLScene(None)
+
+
+def test_references_and_labels_are_taken_once_for_each_grid(logic, library, monkeypatch):
+    from MedColorSlicer import labels, references
+
+    taken, real, real_guard = [], references.references_from, labels.guard_from
+    monkeypatch.setattr(references, "references_from", lambda *a: taken.append("references") or real(*a))
+    monkeypatch.setattr(labels, "guard_from", lambda *a: taken.append("guard") or real_guard(*a))
+    sequence, _browser = sequence_of(make=lambda name: grey_node(name, matrix=np.diag([1, 1, 1 + ("2" in name), 1.0])))
+    for n in range(3):
+        slicer.util.arrayFromVolume(sequence.GetNthDataNode(n))[:] += 100 * n
+    logic.processSequence(sequence, [REFERENCE], nodes={"labels": label_node(), "roi": roi_node()})
+    assert taken == ["references", "guard"] * 2, "the last time point has thicker slices"
+    assert [int(call[0].array.min()) for call in library.calls] == [1, 101, 201]
+    assert [call[0].name for call in library.calls] == ["phase 0", "phase 1", "phase 2"]
+    assert [call[2].region for call in library.calls] == [((1, 6), (2, 7), (2, 7))] * 2 + [((1, 3), (2, 7), (2, 7))]
+    assert all(guard is not None for guard in library.guards)
 
 
 def test_all_or_nothing(logic, library):
