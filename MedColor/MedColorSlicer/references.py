@@ -112,6 +112,8 @@ def _picture(reference, mask, input_node):
     """One reference as the library takes it, with the mask in it where that is a node."""
     from MedColorLib.errors import InputError
 
+    if mask is not None and not _is_path(mask) and not hasattr(mask, "IsA"):
+        raise InputError(_("The mask of a reference is a volume or segmentation node, or a picture file."))
     if _is_path(reference):
         pictures_in(os.fspath(reference))
         if mask is not None and not _is_path(mask):

@@ -54,6 +54,13 @@ def test_kinds_of_references(logic, library, tmp_path, kind):
     }[kind]  # fmt: skip
 
 
+def test_a_mask_is_a_node_or_a_file(logic, library):
+    """An array ended in an AttributeError."""
+    with pytest.raises(InputError, match="a volume or segmentation node, or a picture file"):
+        logic.process(grey_node(), [color_node(REFERENCE[None])], referenceMasks=[REFERENCE[..., 0]])
+    assert not library.calls
+
+
 def test_mask_of_an_array_is_no_node_and_what_is_advised_works(logic, library, tmp_path):
     from PIL import Image
 
