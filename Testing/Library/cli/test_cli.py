@@ -12,6 +12,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from one_signal import sends_once
 from volume_samples import save_nrrd
 
 from MedColorLib import __version__, phantom, read_color_volume, read_volume, rendering
@@ -154,7 +155,7 @@ def interruptible():
 @pytest.mark.usefixtures("interruptible")
 class TestInterruption:
     def test_ctrl_c_while_computing(self, files, monkeypatch, capfd):
-        monkeypatch.setattr(vote, "matched_colors", lambda *_: signal.raise_signal(signal.SIGINT))
+        monkeypatch.setattr(vote, "matched_colors", sends_once(signal.SIGINT))
         assert medcolor(*COLORIZE, "-o", "out.nrrd", "--report", "report.json") == 130
         assert capfd.readouterr().err == "medcolor: interrupted; nothing was written\n"
         assert not files()

@@ -13,6 +13,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from one_signal import sends_once
 from PIL import Image
 from volume_samples import save_nrrd
 
@@ -58,14 +59,8 @@ def default_signals():
 class TestSignals:
     @pytest.mark.parametrize("number", SIGNALS)
     def test_while_computing_and_while_writing(self, files, number, monkeypatch, capfd):
-        once = threading.Lock()  # slices are matched side by side; a second signal would meet the test itself
-
-        def interrupt(*_):
-            if once.acquire(blocking=False):
-                signal.raise_signal(number)
-
         with monkeypatch.context() as patch:
-            patch.setattr(vote, "matched_colors", interrupt)
+            patch.setattr(vote, "matched_colors", sends_once(number))
             assert main([*COLORIZE, "-o", "out.nrrd"]) == 128 + number
         assert capfd.readouterr().err == "medcolor: interrupted; nothing was written\n" and not files()
 
