@@ -180,11 +180,10 @@ class Matched:
         """L* a* b* (rows, cols, 3) of the whole slice before they are drawn into the gamut; 0 outside the body."""
         curve, engine = self._guide_curve(how.smoother), self.engine
         options = engine.smoother_options if how.smoother == self.prepared.plan.smoother else None
-        parameters = TransferParameters(
-            how.smoother, how.luminance, how.gamma, curve, options, one_tissue=engine.one_tissue
-        )
         grey, cover = self.engine.slice_in_box(self._k)
         trust = self._trusts[0] if self._weighs(how) else None
+        one_tissue = engine.one_tissue(1.0 if trust is None else trust.trusted_fraction)
+        parameters = TransferParameters(how.smoother, how.luminance, how.gamma, curve, options, one_tissue=one_tissue)
         match = SliceMatch(self.lab, self._greys[0], self._masks[0], trust)
         out = np.zeros((*self.prepared.view.shape[1:], 3))
         j0, j1, i0, i1 = self.prepared.body.boxes[self._k]

@@ -4,7 +4,7 @@ A photograph shows one level. On a scan of another, matches near the orbits of t
 cerebellum find cerebellum, and one brain gets two hues. In MR the same grey at the same depth below the skin is mostly one
 tissue (scalp, skull and brain lie in layers, as muscle and organs do), so its colour all over the slice is a second
 estimate beside the one of the neighbourhood. The less the matches nearby can be trusted, the more it counts. In CT, where
-brain, muscle and blood share a grey, it does not count.
+brain, muscle and blood share a grey, it counts only in slices whose matches know no place either.
 """
 
 from __future__ import annotations

@@ -15,6 +15,10 @@ FEW_PX, MANY_PX = 4.0, 64.0  # evidence at which a neighbourhood of the regressi
 RARE = 0.25  # share of the usual colour's frequency from which a colour counts in full
 _LEVELS = (16, 14, 10)  # of grey 0..1, L* 0..100, chroma 0..50
 _TOP = (1.0, 100.0, 50.0)
+# Share of a slice's matches that can be trusted (`confidence.Trust.trusted_fraction`): up to the first they say nothing of
+# place, from the second they know better than grey. CT head after a photograph of one of its levels: 0.45 to 0.52 within
+# 8 mm of it, where one tissue a grey would double the error, 0.21 to 0.32 elsewhere, where its orbits were found in the brain.
+_KNOWS_PLACE = 0.3, 0.45
 # Share of the body in two neighbouring levels of grey: up to the first grey tells tissue; from the second, nothing.
 _TELLS_TISSUE = 0.45, 0.65
 
@@ -72,6 +76,20 @@ def support_px(grey_tells: float, contrast_trust: float) -> float:
         grey_tells: 0..1, `grey_tells_tissue` of the whole scan. contrast_trust: `contrast.Contrast.trust`.
     """
     return FEW_PX + (MANY_PX - FEW_PX) * grey_tells * (1 - contrast_trust)
+
+
+def one_tissue_share(grey_tells: float, contrast_trust: float, trusted_fraction: float) -> float:
+    """0..1, how far a grey at one depth is taken for one tissue all over a slice; see `coloring.one_tissue`.
+
+    As far as grey tells tissue, or as far as matches cannot be trusted; but not where matches show a relation of grey to
+    colour, as in the chest: they know better.
+
+    Args:
+        grey_tells, contrast_trust: as for `support_px`. trusted_fraction: of the slice and its neighbours, 0..1.
+    """
+    low, high = _KNOWS_PLACE
+    unknown = float(np.clip((high - trusted_fraction) / (high - low), 0, 1))
+    return (1 - contrast_trust) * max(grey_tells**2, unknown)
 
 
 def _levels(grey: np.ndarray, lab: np.ndarray) -> list[np.ndarray]:

@@ -333,8 +333,12 @@ class Engine:
             inside.append(grey[few][cover[few] > 0.5])
         return grey_tells_tissue(np.concatenate(inside))
 
-    def transfer_parameters(self, lightness: float | None = None) -> TransferParameters:
-        """How colours are brought onto slices of this scan. lightness: instead of the settings'."""
+    def transfer_parameters(self, lightness: float | None = None, trusted_fraction: float = 1.0) -> TransferParameters:
+        """How colours are brought onto slices of this scan.
+
+        Args:
+            lightness: instead of the settings'. trusted_fraction: of the slice's matches, 0..1.
+        """
         from ..coloring.transfer import TransferParameters
 
         settings = self.settings
@@ -345,7 +349,7 @@ class Engine:
             self.guide_curve,
             self.smoother_options,
             settings.lightness if lightness is None else lightness,
-            self.one_tissue,
+            self.one_tissue(trusted_fraction),
         )
 
     @property
@@ -358,13 +362,13 @@ class Engine:
             return self.settings.smoother_options
         return {**options, "support_px": round(support_px(self.grey_tells, self._contrast_trust), 1)}
 
-    @property
-    def one_tissue(self) -> float:
-        """How far a grey is taken for one tissue all over a slice; measured for the own features alone.
+    def one_tissue(self, trusted_fraction: float) -> float:
+        """How far a grey is taken for one tissue all over a slice; measured for the own features alone."""
+        from ..matching.usual import one_tissue_share
 
-        Less where matches tell grey (`contrast.Contrast.trust`), as in the chest: they know better than a slice as a whole.
-        """
-        return self.grey_tells**2 * (1 - self._contrast_trust) if self._own_relation else 0.0
+        if not self._own_relation:
+            return 0.0
+        return one_tissue_share(self.grey_tells, self._contrast_trust, trusted_fraction)
 
     @property
     def _own_relation(self) -> bool:

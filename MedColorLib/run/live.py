@@ -37,11 +37,15 @@ class Look:
 
 
 class Evidence(NamedTuple):
-    """What one transverse slice says of colour; see `coloring.transfer`. kept: 0..1, the share of its colour that it keeps."""
+    """What one transverse slice says of colour; see `coloring.transfer`.
+
+    kept: 0..1, the share of its colour that it keeps. trusted: 0..1, the share of its matches that can be trusted.
+    """
 
     relation: np.ndarray
     rest: np.ndarray
     kept: float
+    trusted: float
 
 
 class Matches:
@@ -152,10 +156,11 @@ class LiveSlices:
 
             self._run.step(0.0, "matching")
             greys, masks, lab, trusts = self._engine.match([k], self._engine.choice[k])
-            parameters, match = self._engine.transfer_parameters(), SliceMatch(lab[0], greys[0], masks[0], trusts[0])
+            match, trusted = SliceMatch(lab[0], greys[0], masks[0], trusts[0]), trusts[0].trusted_fraction
+            parameters = self._engine.transfer_parameters(trusted_fraction=trusted)
             relation = solve_relation(relation_sums(match, parameters), parameters)
             rest = remainder(match, relation, parameters)
-            self._evidence[k] = Evidence(relation, rest, saturation(float(trusts[0].mean)))
+            self._evidence[k] = Evidence(relation, rest, saturation(float(trusts[0].mean)), trusted)
         return self._evidence[k]
 
     def _transverse(self, k: int, look: Look) -> np.ndarray:
@@ -166,9 +171,8 @@ class LiveSlices:
             return out
         own = self._of_slice(k)
         grey, mask = self._engine.slice_in_box(k)[0], self._engine.painted_in_box(k)
-        lab = combine(
-            grey, mask, own.relation, own.rest, self._engine.transfer_parameters(look.lightness), saturation=own.kept
-        )
+        parameters = self._engine.transfer_parameters(look.lightness, own.trusted)
+        lab = combine(grey, mask, own.relation, own.rest, parameters, saturation=own.kept)
         j0, j1, i0, i1 = self._prepared.body.boxes[k]
         out[j0:j1, i0:i1] = to_picture(lab, mask)[0]
         return self._in_region(out, 0)

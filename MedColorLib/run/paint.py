@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from itertools import zip_longest
 from typing import TYPE_CHECKING
@@ -67,8 +67,10 @@ class Painter:
         spacing, sigma = prepared.slice_spacing_mm, settings.coherence_mm
         self._groups = prepared.groups
         names = (None,) if self._groups is None else range(len(self._groups))
-        self._evidence = {name: Evidence(plan.slices, spacing, sigma, self._parameters) for name in names}
-        self._means, self._mean = SliceAverage(plan.slices, spacing, sigma), {}
+        how = spacing, sigma, self._parameters, self._parameters_of
+        self._evidence = {name: Evidence(plan.slices, *how) for name in names}
+        self._means = SliceAverage(plan.slices, spacing, sigma)
+        self._mean: dict[int, np.ndarray] = {}  # confidence and trusted fraction of a slice and its neighbours
         self.uncolored = 0
         chosen = list(plan.slices)
         self._frames = dict(zip(chosen, frames(self._boxes[chosen], spacing, sigma)))
@@ -100,7 +102,7 @@ class Painter:
         from ..matching.confidence import saturation
 
         for k, match in found.items():
-            self._mean.update(self._means.push(k, np.float64(match.trust.mean)))
+            self._mean.update(self._means.push(k, np.float64([match.trust.mean, match.trust.trusted_fraction])))
         by_group = [self._by_group(k, match) for k, match in found.items()]
         streams = [
             evidence.add(dict(zip(found, own)), self._each)
@@ -108,8 +110,12 @@ class Painter:
         ]
         ready = list(zip_longest(*streams))  # all have the same slices ready
         for (k, *_), *_others in ready:
-            self.saturation[k] = saturation(self._mean.pop(k))
+            self.saturation[k] = saturation(self._mean[k][0])
         return self._each(self._color, ready)
+
+    def _parameters_of(self, k: int) -> TransferParameters:
+        """Those of a slice whose neighbours' matches are known."""
+        return self._engine.transfer_parameters(trusted_fraction=float(self._mean[k][1]))
 
     def _by_group(self, k: int, match: SliceMatch) -> list[tuple[SliceMatch, bool]]:
         """The slice's match for each group, with nothing outside it, and whether the slice has that group at all."""
@@ -130,14 +136,14 @@ class Painter:
 
         k = ready[0][0]
         grey, mask = self._engine.slice_in_box(k)[0], self._engine.painted_in_box(k)
-        kept = self.saturation[k]
+        kept, parameters = self.saturation[k], self._parameters_of(k)
         groups = None if self._groups is None else self._groups.in_box(k, self._boxes[k])
         colors, uncolored = np.zeros((np.count_nonzero(mask), 3)), 0
         for name, (_, relation, rest) in zip(self._evidence, ready):
             own = mask if groups is None else mask & (groups == name)
             if groups is not None and not own.any():
                 continue
-            found = combine(grey, own, relation, rest, self._parameters, self._frames[k], kept)
+            found = combine(grey, own, relation, rest, parameters, self._frames[k], kept)
             if groups is None:
                 colors = found
                 continue
@@ -173,13 +179,18 @@ class Evidence:
     """What matches say of colour, all or those of one tissue group, averaged along the stack."""
 
     def __init__(
-        self, slices: Sequence[int], spacing_mm: float, sigma_mm: float, parameters: TransferParameters
+        self,
+        slices: Sequence[int],
+        spacing_mm: float,
+        sigma_mm: float,
+        parameters: TransferParameters,
+        parameters_of: Callable[[int], TransferParameters],
     ) -> None:
-        """Args: as for `coherence.SliceAverage` and `transfer`."""
+        """Args: as for `coherence.SliceAverage` and `transfer`; parameters_of: of a slice whose relation is due."""
         from ..coloring.coherence import SliceAverage
 
         self._relations, self._remainders = (SliceAverage(slices, spacing_mm, sigma_mm) for _ in range(2))
-        self._parameters = parameters
+        self._parameters, self._parameters_of = parameters, parameters_of
         self._waiting: dict[int, tuple[SliceMatch, bool]] = {}
         self._known: dict[int, np.ndarray | None] = {}
 
@@ -216,7 +227,7 @@ class Evidence:
         from ..coloring.transfer import solve_relation
 
         k, total = due
-        return solve_relation(total, self._parameters) if self._waiting[k][1] else None
+        return solve_relation(total, self._parameters_of(k)) if self._waiting[k][1] else None
 
     def _remainder(
         self, solved: tuple[int, np.ndarray | None]

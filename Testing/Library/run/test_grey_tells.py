@@ -33,7 +33,7 @@ def with_trust(engine: Engine, explained: float) -> Engine:
 
 def test_mr_looks_for_tissue():
     engine = with_trust(engine_of(0.9), explained=0.0)
-    assert engine.grey_tells > 0.4 and engine.one_tissue == pytest.approx(engine.grey_tells**2)
+    assert engine.grey_tells > 0.4 and engine.one_tissue(1.0) == pytest.approx(engine.grey_tells**2)
     assert engine.smoother_options["support_px"] == pytest.approx(
         FEW_PX + (MANY_PX - FEW_PX) * engine.grey_tells, abs=0.1
     )
@@ -41,12 +41,14 @@ def test_mr_looks_for_tissue():
 
 def test_matches_that_tell_grey_know_better():
     engine = with_trust(engine_of(0.9), explained=1.0)
-    assert engine.one_tissue == 0 and engine.smoother_options["support_px"] == FEW_PX
+    assert engine.one_tissue(0.0) == 0 and engine.smoother_options["support_px"] == FEW_PX
 
 
-def test_ct_looks_for_the_place():
+def test_ct_looks_for_the_place_where_matches_know_it():
     engine = with_trust(engine_of(0.05), explained=0.0)
-    assert engine.grey_tells == 0 == engine.one_tissue
+    assert engine.grey_tells == 0
+    shares = [engine.transfer_parameters(trusted_fraction=trusted).one_tissue for trusted in (0.2, 0.35, 0.4, 0.5, 1.0)]
+    assert shares[0] == 1 > shares[1] > shares[2] > 0 == shares[3] == shares[4]
     assert engine.smoother_options["support_px"] == FEW_PX
 
 
@@ -59,7 +61,7 @@ def test_options_that_are_given_stay(changes):
 
 def test_where_matches_are_not_weighed_nobody_asks():
     engine = engine_of(0.9, smoother="guided")
-    assert engine.one_tissue == 0 and engine.references[0].usual is None and "grey_tells" not in vars(engine)
+    assert engine.one_tissue(0.0) == 0 and engine.references[0].usual is None and "grey_tells" not in vars(engine)
 
 
 def test_slices_asked_for_do_not_change_it():
