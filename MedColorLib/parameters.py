@@ -131,7 +131,7 @@ class Settings:
     smoother: SmootherName = "auto"
     smoother_options: dict | None = None
     luminance: LuminanceName = "natural"
-    lightness: float = 0.9
+    lightness: float = 0.85
     gamma: bool | None = None
     window: tuple[float, float] | None = None
     slices: tuple[int, int] | None = None
