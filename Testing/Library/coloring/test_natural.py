@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from MedColorLib.coloring.natural import AIR_LIGHTNESS, DETAIL_GAIN, natural_lightness, without_noise
+from MedColorLib.coloring.natural import AIR_LIGHTNESS, DETAIL_GAIN, natural_lightness, noise_sigma, without_noise
 
 SHAPE = (120, 96)
 RNG = np.random.default_rng(0)
@@ -76,6 +76,25 @@ def test_noise_goes_and_edges_stay():
     smooth = without_noise(noisy)
     assert (middle(smooth, LEFT) - 0.3).std() < 0.5 * (middle(noisy, LEFT) - 0.3).std()
     assert np.abs(smooth - edge).max() < 0.05
+
+
+@pytest.mark.parametrize("sigma", [0.0, 0.01, 0.04])
+def test_noise_is_measured_beside_edges_and_air(sigma):
+    grey = np.full((120, 120), 0.3, np.float32)
+    grey[:, 40:44] = grey[60:] = 0.8
+    grey += np.random.default_rng(5).normal(0, 1, grey.shape).astype(np.float32) * sigma
+    grey[:, 90:] = 0
+    assert noise_sigma(grey) == pytest.approx(sigma, rel=0.1, abs=1e-4)
+    assert noise_sigma(np.zeros((9, 9), np.float32)) == 0
+
+
+def test_much_noise_is_smoothed_as_well_as_little():
+    """No specks: what is left of the noise, as a share of it."""
+    left = []
+    for sigma in (0.01, 0.04):
+        noise = np.random.default_rng(6).normal(0, sigma, (80, 80)).astype(np.float32)
+        left.append(float((without_noise(0.5 + noise) - 0.5)[4:-4, 4:-4].std() / sigma))
+    assert max(left) < 0.35 and left[1] == pytest.approx(left[0], rel=0.15)
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 40), (3, 2)])

@@ -179,6 +179,42 @@ def test_natural_lightness_takes_a_share_of_the_remainder_and_colour_all_of_it(m
     assert np.abs(with_share(1.0, 0.5) - with_share(0.0, 0.5))[..., 0].mean() < 0.5 * changes[1]
 
 
+class TestOutliers:
+    """Where few matches can be trusted, a grey takes the colour of most of its matches, not the mean with the wrong ones."""
+
+    def lightness(self, trusted_share: float, wrong: float = 0.3) -> float:
+        """L* that cream tissue gets of which a share of `wrong` pixels is matched with brown."""
+        rng = np.random.default_rng(3)
+        grey = np.full((48, 48), 0.55, np.float32)
+        lab = np.where(rng.random((64, 64, 1)) < wrong, matched_as(BROWN), matched_as(CREAM))
+        confidence = np.where(rng.random((64, 64)) < trusted_share, 0.7, 0.55).astype(np.float32)
+        match = match_of(lab, grey)
+        match = replace(match, trust=Trust(confidence * match.mask, 0.0, None))
+        mean = regression_of(match)
+        return float((mean[..., 0] - matched_as(BROWN)[0, 0, 0]).mean())
+
+    def test_most_decide_where_few_can_be_trusted(self):
+        between = matched_as(CREAM)[0, 0, 0] - matched_as(BROWN)[0, 0, 0]
+        assert self.lightness(0.3) > 0.85 * between > 0.75 * between > self.lightness(0.7)
+        assert self.lightness(0.7) < self.lightness(0.55) < self.lightness(0.5)
+
+    def test_equal_halves_stay_what_they_are(self):
+        between = matched_as(CREAM)[0, 0, 0] - matched_as(BROWN)[0, 0, 0]
+        assert 0.3 * between < self.lightness(0.3, wrong=0.5) < 0.7 * between
+
+    def test_without_outliers_nothing_changes(self):
+        few, many = self.lightness(0.3, wrong=0.0), self.lightness(0.7, wrong=0.0)
+        assert few == pytest.approx(many, abs=1e-3)
+
+
+def regression_of(match: SliceMatch) -> np.ndarray:
+    """What place and grey say of L* a* b* at the scan's pixels: (48, 48, 3)."""
+    from MedColorLib.coloring.transfer import relation_sums, solve_relation
+
+    parameters = TransferParameters("regression", "natural", False)
+    return predict(solve_relation(relation_sums(match, parameters), parameters), 255 * match.grey[INNER])
+
+
 class TestTrust:
     """A patch of wrong matches that nobody trusts takes its colour from what is trusted around it."""
 
