@@ -183,7 +183,15 @@ class Matched:
         grey, cover = self.engine.slice_in_box(self._k)
         trust = self._trusts[0] if self._weighs(how) else None
         one_tissue = engine.one_tissue(1.0 if trust is None else trust.trusted_fraction)
-        parameters = TransferParameters(how.smoother, how.luminance, how.gamma, curve, options, one_tissue=one_tissue)
+        parameters = TransferParameters(
+            how.smoother,
+            how.luminance,
+            how.gamma,
+            curve,
+            options,
+            one_tissue=one_tissue,
+            doubts_outliers=engine.own_features,
+        )
         match = SliceMatch(self.lab, self._greys[0], self._masks[0], trust)
         out = np.zeros((*self.prepared.view.shape[1:], 3))
         j0, j1, i0, i1 = self.prepared.body.boxes[self._k]

@@ -39,8 +39,9 @@ REMAINDER = FgsParameters(lam=2.0, sigma=30.0, iterations=1)
 LIGHTNESS_SHARE = 0.7
 EVERY = 2  # each so many-th row and column of the grid is a witness of colour and grey: 0.006 CIEDE2000 more than all
 # A witness so far (CIE76) from what its neighbourhood says of its grey counts exp(-1/2): Welsch's weights, in so many turns.
-# Without: CT 122 4.8, worst 10.6 instead of 4.6 and 9.6; muscle of the chest CT 17.2 instead of 15.6; front against back of a
-# brain 2.0 instead of 1.8. Cauchy's weights lead further in the chest (12.4), but amplify noise (1.17 instead of 0.93).
+# Without: CT 122 4.8, worst 10.6 instead of 4.5 and 9.5; muscle of the chest CT 17.2 instead of 15.5; front against back of a
+# brain 2.0 instead of 1.8 (lightness 0.9). With VGG-19 the chest gets worse, 13.4 to 14.2. Cauchy's weights lead further in
+# the chest (12.4), but amplify noise (1.17 instead of 0.95).
 OUTLIER_DISTANCE, OUTLIER_TURNS = 14.0, 2
 # Share of matches that can be trusted: up to the first outliers are looked for; from the second there are two tissues of one
 # grey side by side rather than wrong matches, as in pairs of a section and itself.
@@ -62,6 +63,7 @@ class TransferParameters:
         smoother_options: names and values of the smoother's parameters (`filters.smoother_options`), or None.
         lightness: 0..1 with natural luminance: from the scan's own lightness to the reference's.
         one_tissue: 0..1, how far a grey is one tissue all over a slice; see `one_tissue`.
+        doubts_outliers: the regression's witnesses far from the others count less where few matches can be trusted.
     """
 
     smoother: str
@@ -71,6 +73,7 @@ class TransferParameters:
     smoother_options: dict | None = None
     lightness: float = 1.0
     one_tissue: float = 0.0
+    doubts_outliers: bool = False
 
     @property
     def first_channel(self) -> int:
@@ -191,7 +194,8 @@ def _without_outliers(match: SliceMatch, parameters: TransferParameters) -> np.n
     colors, guide, weight = _witnesses(match, match.grey, parameters)
     sums = regression.splat(colors, guide, weight, parameters.own, match.within, EVERY)
     few, many = _LOOKED_FOR
-    doubt = 0.0 if match.trust is None else np.clip((many - match.trust.trusted_fraction) / (many - few), 0, 1)
+    known = parameters.doubts_outliers and match.trust is not None
+    doubt = 0.0 if not known else np.clip((many - match.trust.trusted_fraction) / (many - few), 0, 1)
     for _ in range(OUTLIER_TURNS if doubt > 0 else 0):
         told = regression.predict(regression.solve(sums, parameters.own), guide, match.within)
         distance = np.square(colors - told).sum(-1) / np.float32(OUTLIER_DISTANCE**2)

@@ -131,7 +131,12 @@ def _tiff_tags(stream: BinaryIO) -> dict:
 
     stream.seek(0)
     with decoding(), quiet_package("tifffile"), tifffile.TiffFile(stream, is_ome=False, _multifile=False) as file:
-        return {tag.code: tag.value for tag in file.pages[0].tags}
+        return {tag.code: _plain(tag.value) for tag in file.pages[0].tags}
+
+
+def _plain(value):
+    """An array of numbers as the tuple that it is in other tags: comparing it would be no answer."""
+    return tuple(value.tolist()) if isinstance(value, np.ndarray) else value
 
 
 def _from_planes(stream: BinaryIO) -> np.ndarray:

@@ -350,6 +350,7 @@ class Engine:
             self.smoother_options,
             settings.lightness if lightness is None else lightness,
             self.one_tissue(trusted_fraction),
+            self._own_relation,
         )
 
     @property

@@ -211,7 +211,7 @@ def regression_of(match: SliceMatch) -> np.ndarray:
     """What place and grey say of L* a* b* at the scan's pixels: (48, 48, 3)."""
     from MedColorLib.coloring.transfer import relation_sums, solve_relation
 
-    parameters = TransferParameters("regression", "natural", False)
+    parameters = TransferParameters("regression", "natural", False, doubts_outliers=True)
     return predict(solve_relation(relation_sums(match, parameters), parameters), 255 * match.grey[INNER])
 
 

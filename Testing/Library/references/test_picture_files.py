@@ -16,6 +16,7 @@ from PIL import Image
 
 from MedColorLib.errors import InputError
 from MedColorLib.references import decoding
+from MedColorLib.references.decoding import stored_values
 from MedColorLib.references.pictures import LONG_SIDE_PX, load_picture, pictures_in, reduced
 
 ENDINGS = ("png", "jpg", "jpe", "jfif", "tif", "tiff", "bmp", "dib", "gif", "webp", "jp2", "ppm", "sgi", "pcx", "tga")
@@ -134,6 +135,17 @@ class TestFormats:
         (tmp_path / "p.tif").write_bytes(data[:at] + more + data[at + len(more) :])
         with pytest.raises(InputError, match="damaged or cut short"):
             load_picture(tmp_path / "p.tif")
+
+    def test_a_tiff_that_names_bits_by_the_thousand(self, tmp_path):
+        """Tags so long are arrays, which cannot be compared with a number."""
+        import tifffile
+
+        tifffile.imwrite(tmp_path / "p.tif", np.zeros((60, 60, 3), np.uint8), photometric="rgb")
+        data = (tmp_path / "p.tif").read_bytes()
+        with tifffile.TiffFile(io.BytesIO(data)) as file:
+            at = file.pages[0].tags[258].offset + 4
+        with pytest.raises(InputError, match="damaged or cut short"):
+            stored_values(io.BytesIO(data[:at] + struct.pack("<I", 3075) + data[at + 4 :]))
 
     @pytest.mark.parametrize("channels", [3, 4])
     @pytest.mark.parametrize("compression", [None, "zlib"])
