@@ -23,7 +23,7 @@ alone: 8 iterations 2.0 / - / 2.4 / 2.0, 16 (default) 2.2 / - / 2.6 / 2.4, 32 - 
 | gamma | 1/2, then 2 | the same beside the paper's luminance, else off | with it beside the scan's own 2.9 / 4.0 / 6.4 / 6.0 |
 | luminance | the equation's | natural, `--luminance paper` has the paper's | 3.3 / 3.3 / 3.4 / 3.3 (gamma off), after the gamut |
 | where the reference changes | each slice by itself | matched colours averaged along the stack, within 16 mm | jump there \
-0.98 times that elsewhere instead of 3.4 (CIEDE2000 of slices at equal grey, phantom) |
+1.0 times that elsewhere instead of 4.1 (CIEDE2000 of slices at equal grey, phantom) |
 | smoother, its guide | FGS 32, 200, 8 bits | the same | none (OpenCV's own lambda, not shared out, smooths 2.6 times as much) |
 | colours outside sRGB | cut off | drawn in at their lightness and hue | not measured |
 

@@ -100,7 +100,7 @@ def settings(**changes) -> Settings:
 @pytest.mark.usefixtures("small_raster")
 @pytest.mark.parametrize("changes", [{}, {"smoother": "guided"}], ids=["evidence", "matched colours"])
 def test_no_seam_and_no_slice_matched_twice(changes, monkeypatch):
-    """What is averaged along the stack. Jump at changes against elsewhere: MEASURED."""
+    """What is averaged along the stack. Jump at changes over that elsewhere, measured: 1.5 and 1.9; 3.8 and 7.5 apart."""
     matched, match = Counter(), Engine._match_part
 
     def counted(engine, ks, *arguments):
@@ -115,7 +115,6 @@ def test_no_seam_and_no_slice_matched_twice(changes, monkeypatch):
     assert matched == dict.fromkeys(range(40), 1)
     at_changes, elsewhere = jumps(result, prepared)
     apart = jumps(colorize(volume, series, settings(coherence_mm=0.0, **changes)), prepared)
-    print(at_changes, elsewhere, apart)
     assert at_changes <= 2 * elsewhere
     assert apart[0] > 2 * apart[1], "without the average there is a seam to be seen"
 
