@@ -19,7 +19,7 @@ holds the files of one stage or the choice of alternatives:
 | correspondence | `matching/analogy`, `matching/reconstruction` | maps -> field, coarse to fine |
 | search, vote | `matching/fields/`, `matching/vote` | maps -> nearest-neighbour field -> matched colours T' |
 | confidence | `matching/confidence` | there and back, and likeness -> how far a match counts |
-| choice of references | `matching/recommend`, `matching/assignment`, `matching/blending` | likeness -> references of each slice |
+| choice of references | `matching/recommend`, `matching/assignment` | likeness -> reference of each slice |
 | tissue guard | `matching/tissue_guard` | labels -> groups that matching and colour do not cross |
 | references | `references/` | picture, folder, colour volume, library -> `Reference`s |
 | volume in, out | `io/` | file -> `Volume` (k, j, i) with its place in space; `ColorVolume` -> file |

@@ -113,8 +113,8 @@ class Settings:
         plane: "transverse", or "acquired" to take the array's first axis as the stack.
         device: "auto", "cpu", "cuda", "cuda:1", "mps".
         coherence_mm: neighbouring slices share their evidence of colour with a Gaussian of this width along the stack; 0
-            colours each slice by itself. Not with the smoother "guided", nor without weights (preset "full" but for its
-            smoother "regression").
+            colours each slice by itself. With the smoother "guided", and without weights (preset "full" but for its
+            smoother "regression"), only near changes of reference.
         confidence: whether the result carries its confidence as a volume, too.
         seed: of the random search, 0 .. 2^63 - 1.
         reconstruction: how features come one layer down: "warp" (the reference's own finer features) or "lbfgs" (the

@@ -205,13 +205,12 @@ def _color_batches(prepared: Prepared, engine: Engine, painter: Painter, run: Ru
 
 
 def _next_batch(waiting: list[int], engine: Engine, repeats: dict[int, int], batch: int) -> list[int]:
-    """The next slices that go through the network together: the same references, no repeats; or one repeat by itself."""
+    """The next slices that go through the network together: the same reference, no repeats; or one repeat by itself."""
     if waiting[0] in repeats:
         return waiting[:1]
     ks = []
-    together = engine.references_of(waiting[0])
     for k in waiting[:batch]:
-        if k in repeats or engine.references_of(k) != together:
+        if k in repeats or engine.choice[k] != engine.choice[waiting[0]]:
             break
         ks.append(k)
     return ks
@@ -285,7 +284,6 @@ def _report(prepared: Prepared, engine: Engine, run: Run, painter: Painter) -> d
         ],
         "reference_of_slice": {str(k): prepared.references[i].name for k, i in engine.choice.items()},
         "references_assigned": engine.assigned,
-        "blended_slices": {str(k): [prepared.references[n.index].name, n.share] for k, n in engine.neighbours.items()},
         "reference_lies": {engine.references[i].name: engine.references[i].way for i in used},
         "reference_warnings": engine.reference_warnings,
         "reference_lies_guessed": [engine.references[i].name for i in used if engine.references[i].lie.guess],

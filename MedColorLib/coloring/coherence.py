@@ -4,11 +4,14 @@ Slices are matched one by one, but what their matches say about colour, the sums
 body and grey, is averaged along the stack with a Gaussian of given width in millimetres before it is read. Evidence is
 kept only for the slices within reach: memory does not grow with the stack. The cells of the regression lie in the body's
 box, which jumps by pixels from slice to slice; they take a box that is smoothed by the same Gaussian.
+
+Colour passes from one reference to the next by the same average, so no slice is matched with two. Smoothers that do not
+weigh matches share no evidence; with these the matched colours themselves are averaged, near changes of reference alone.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -39,6 +42,26 @@ def frames(boxes: np.ndarray, spacing_mm: float, sigma_mm: float) -> list[tuple[
         low, high = smooth[:, axis].T
         found += list((exact[:, axis] - low[:, None]).T / (high - low))
     return [tuple(map(float, edges)) for edges in np.stack(found, 1)]
+
+
+def shares_near_changes(reference_of: Mapping[int, int], spacing_mm: float, sigma_mm: float) -> dict[int, float]:
+    """How much of a slice's colour is the average along the stack: most at a change of reference, none out of its reach.
+
+    Args:
+        reference_of: slice -> index of its reference.
+
+    Returns:
+        Slice -> share 0..1, in order, for the slices within reach; it falls as a parabola, so that colour passes without a
+        step at either end.
+
+    >>> shares_near_changes({0: 5, 1: 5, 2: 5, 3: 5, 4: 6, 5: 6}, spacing_mm=1.0, sigma_mm=1.0)
+    {2: 0.4375, 3: 0.9375, 4: 0.9375, 5: 0.4375}
+    """
+    reach = REACH_SIGMAS * sigma_in_slices(spacing_mm, sigma_mm)
+    slices = sorted(reference_of)
+    changes = [(a + b) / 2 for a, b in zip(slices, slices[1:]) if reference_of[a] != reference_of[b]]
+    distance = {k: min((abs(k - change) for change in changes), default=reach) for k in slices}
+    return {k: 1 - (far / reach) ** 2 for k, far in distance.items() if far < reach}
 
 
 class SliceAverage:

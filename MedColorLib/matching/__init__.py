@@ -22,6 +22,8 @@ alone: 8 iterations 2.0 / - / 2.4 / 2.0, 16 (default) 2.2 / - / 2.6 / 2.4, 32 - 
 | patches, radii, blend weights, vote | 3, 3, 3, 5, 5; 6, 6, 4, 4; alpha 0.8, 0.7, 0.6, 0.1; 5 x 5 | the same | none |
 | gamma | 1/2, then 2 | the same beside the paper's luminance, else off | with it beside the scan's own 2.9 / 4.0 / 6.4 / 6.0 |
 | luminance | the equation's | natural, `--luminance paper` has the paper's | 3.3 / 3.3 / 3.4 / 3.3 (gamma off), after the gamut |
+| where the reference changes | each slice by itself | matched colours averaged along the stack, within 16 mm | jump there \
+1.0 times that elsewhere instead of 4.1 (CIEDE2000 of slices at equal grey, phantom) |
 | smoother, its guide | FGS 32, 200, 8 bits | the same | none (OpenCV's own lambda, not shared out, smooths 2.6 times as much) |
 | colours outside sRGB | cut off | drawn in at their lightness and hue | not measured |
 

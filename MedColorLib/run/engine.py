@@ -16,7 +16,6 @@ from ..features.components import PROJECTED_LAYERS, kept_energy, principal_compo
 from ..features.kept import reference_features
 from ..matching.analogy import joined
 from ..matching.assignment import assign
-from ..matching.blending import blended, neighbours
 from ..matching.orientation import SURE, Lie, common_way, find_way
 from ..parameters import PRESETS
 from ..progress import Run
@@ -75,7 +74,6 @@ class Engine:
             self._turn_references()
         self.choice = self._choose_references()
         self.reference_warnings = reference_warnings(prepared, self.references, self.choice)
-        self.neighbours = {} if self.assigned == "freely" else neighbours(self.choice)
         self.guide_curve = self._spread_guide() if prepared.plan.smoother == "regression" else None
         with run.timed("contrast"):
             for index in sorted(set(self.choice.values())):
@@ -134,32 +132,12 @@ class Engine:
         return np.stack(greys), np.stack(masks)
 
     def match(self, ks: Sequence[int], index: int):
-        """Match slices `ks` with reference `index`, blended with their neighbouring reference where they have one.
-
-        Args:
-            ks: all with the same `references_of`.
+        """Match slices `ks` with reference `index`, or take up what an interrupted run kept in `store`.
 
         Returns:
             greys and masks (N, H, W) on the grid, matched colours T' (N, H, W, 3) L*a*b*, and the trust in each slice (None
             where nothing reads it).
         """
-        own = self._match_one(ks, index)
-        if ks[0] not in self.neighbours:
-            return own
-        other = self._match_one(ks, self.neighbours[ks[0]].index)
-        return blended(own, other, np.array([self.neighbours[k].share for k in ks]))
-
-    def references_of(self, k: int) -> tuple[int, ...]:
-        """Indices of the references that slice k is matched with: its own and, where it has one, its neighbouring one."""
-        return (self.choice[k], self.neighbours[k].index) if k in self.neighbours else (self.choice[k],)
-
-    @property
-    def reads_trust(self) -> bool:
-        """Whether anything reads how far matches can be trusted."""
-        return self.settings.weighs_matches or self.settings.confidence
-
-    def _match_one(self, ks: Sequence[int], index: int):
-        """Match slices with one reference, or take up what an interrupted run kept in `store`."""
         self.features_of(index)  # before slices are matched side by side
         store = self.store
         stored = store.load(ks, index, self.device) if store else None
@@ -172,6 +150,11 @@ class Engine:
             store.save(ks, index, joined(found))
         self.searched = found[0].searched
         return np.concatenate(greys), np.concatenate(masks), np.concatenate(labs), [t for part in trusts for t in part]
+
+    @property
+    def reads_trust(self) -> bool:
+        """Whether anything reads how far matches can be trusted."""
+        return self.settings.weighs_matches or self.settings.confidence
 
     def _match_part(self, ks: Sequence[int], index: int, stored: Match | None) -> tuple:
         """The match of some slices, and what `match` returns; on a thread of its own where slices are matched side by side."""

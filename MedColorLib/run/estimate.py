@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from ..matching.assignment import SERIES_SIZE
 from ..parameters import Settings
 from ..volume import Volume
 from .expected_error import LEAST_TRUSTED, NOT_MEASURED, ExpectedError, expected_error
@@ -83,7 +82,7 @@ def estimate(
         some = replace(prepared, plan=replace(prepared.plan, slices=_around(middle, prepared)), repeats={})
         engine = Engine(some, Run(None, None), each=each)
         overhead = time.perf_counter() - started
-        together = [k for k in some.plan.slices if engine.references_of(k) == engine.references_of(middle)]
+        together = [k for k in some.plan.slices if engine.choice[k] == engine.choice[middle]]
         probes = []
         for _ in range(PROBES + 1):  # the first warms up and does not count
             start = time.perf_counter()
@@ -93,8 +92,7 @@ def estimate(
     probes = sorted(probes[1:])
     count = len(slices) - len(prepared.repeats)
     median = probes[len(probes) // 2]
-    most = 2 if len(prepared.references) >= SERIES_SIZE else 1  # slices between two references are matched with both
-    high = overhead + 1.5 * most * count * probes[-1]
+    high = overhead + 1.5 * count * probes[-1]
     features = prepared.plan.features
     return Estimate(
         overhead + count * median,

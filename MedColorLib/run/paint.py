@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import zip_longest
 from typing import TYPE_CHECKING
@@ -76,6 +76,7 @@ class Painter:
         self._frames = dict(zip(chosen, frames(self._boxes[chosen], spacing, sigma)))
         self._region = prepared.region[1:]
         self._last, self._each = None, each
+        self._passing = None if self._weighs else PassingColors(engine.choice, plan.slices, spacing, sigma)
 
     def add(self, ks: Sequence[int], matches) -> None:
         """Colour what can be coloured now that slices `ks` are matched; None: the same match as the slice before."""
@@ -90,7 +91,7 @@ class Painter:
                 self.trusted[k], self.agreement[k] = round(trust.trusted_fraction, 4), round(trust.agreement, 4)
                 self._put_confidence(k, trust)
             found[k] = SliceMatch(lab, grey, mask, trust, self._frames[k])
-        colored = self._gathered(found) if self._weighs else self._each(self._color_alone, found, found.values())
+        colored = self._gathered(found) if self._passing is None else self._passed(found, self._passing)
         for k, rgb, clipped, bent, uncolored in colored:
             self.clipped += clipped
             self.bent += bent
@@ -116,6 +117,11 @@ class Painter:
     def _parameters_of(self, k: int) -> TransferParameters:
         """Those of a slice whose neighbours' matches are known."""
         return self._engine.transfer_parameters(trusted_fraction=float(self._mean[k][1]))
+
+    def _passed(self, found: dict[int, SliceMatch], passing: PassingColors) -> Iterator:
+        """Colour slices by themselves, but for what passes between references."""
+        ready = dict(passing.add(found))
+        return self._each(self._color_alone, ready, ready.values())
 
     def _by_group(self, k: int, match: SliceMatch) -> list[tuple[SliceMatch, bool]]:
         """The slice's match for each group, with nothing outside it, and whether the slice has that group at all."""
@@ -173,6 +179,37 @@ class Painter:
         top, bottom, left, right = max(j0, row0), min(j1, row1), max(i0, col0), min(i1, col1)
         if top < bottom and left < right:
             stack[k, top:bottom, left:right] = values[top - j0 : bottom - j0, left - i0 : right - i0]
+
+
+class PassingColors:
+    """Matched colours T', averaged along the stack near changes of reference: for smoothers that share no evidence.
+
+    There a pixel of the body goes towards the mean of the same place in the slices around, each counting by distance and by
+    how alike the greys are. All other slices go through as they are.
+    """
+
+    def __init__(self, choice: Mapping[int, int], slices: Sequence[int], spacing_mm: float, sigma_mm: float) -> None:
+        """Args: choice: slice -> index of its reference, of these slices at least. Others as for `coherence.SliceAverage`."""
+        from ..coloring.coherence import SliceAverage, shares_near_changes
+
+        self._shares = shares_near_changes({k: choice[k] for k in slices}, spacing_mm, sigma_mm)
+        self._colors = SliceAverage(list(self._shares), spacing_mm, sigma_mm)
+        self._waiting: dict[int, SliceMatch] = {}
+
+    def add(self, found: dict[int, SliceMatch]) -> Iterator[tuple[int, SliceMatch]]:
+        """Add slices, in order; yields (slice, its match) for each that can be coloured now."""
+        for k, match in found.items():
+            if k not in self._shares:
+                yield k, match
+                continue
+            self._waiting[k] = match
+            weight = match.mask[..., None].astype(np.float32)
+            witnesses = np.concatenate([match.lab * weight, weight], -1)
+            for ready, total in self._colors.push(k, witnesses, 255 * match.grey):
+                own = self._waiting.pop(ready)
+                mean = total[..., :-1] / np.maximum(total[..., -1:], 1e-6)
+                share = np.float32(self._shares[ready]) * own.mask[..., None]
+                yield ready, replace(own, lab=own.lab + share * (mean - own.lab))
 
 
 class Evidence:

@@ -238,14 +238,14 @@ class TestProgressAndCancel:
 
 class TestMemory:
     def short_of_memory(self, monkeypatch, limit, error=None):
-        matched = Engine._match_one
+        matched = Engine.match
 
         def limited(engine, ks, index):
             if len(ks) > limit:
                 raise error or torch.cuda.OutOfMemoryError("CUDA out of memory")
             return matched(engine, ks, index)
 
-        monkeypatch.setattr(Engine, "_match_one", limited)
+        monkeypatch.setattr(Engine, "match", limited)
 
     def test_smaller_batches_where_memory_is_short(self, ct, colored, monkeypatch, caplog):
         self.short_of_memory(monkeypatch, 1)

@@ -166,7 +166,7 @@ def test_one_reference_for_many_slices_is_fine():
     array = np.zeros((300, 24, 24), np.float32)
     array[:, 4:20, 4:20] = 500 + rng.normal(0, 20, (300, 16, 16))
     plan = make_plan(Volume(array), [section(0.0)], Settings(preset="draft", features="embedded"))
-    assert len(plan.slices) == 300 and "blending" not in plan.steps
+    assert len(plan.slices) == 300 and "changes" not in plan.steps["coherence"]
 
 
 def test_a_colour_volume_gives_its_own_luminance_its_colours_back(ct, colored):

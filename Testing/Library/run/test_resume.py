@@ -36,7 +36,7 @@ KINDS = {
 @pytest.fixture
 def matched(monkeypatch) -> list[int]:
     """Fills with the number of slices of every batch that is matched for colouring."""
-    counts, made, match, match_batch = [], [], Engine._correspondence, Engine._match_one
+    counts, made, match, match_batch = [], [], Engine._correspondence, Engine.match
 
     def noted(*arguments):
         made.append(1)
@@ -51,7 +51,7 @@ def matched(monkeypatch) -> list[int]:
                 counts.append(len(ks))
 
     monkeypatch.setattr(Engine, "_correspondence", noted)
-    monkeypatch.setattr(Engine, "_match_one", counted)
+    monkeypatch.setattr(Engine, "match", counted)
     return counts
 
 
@@ -77,19 +77,19 @@ class TestSameBytes:
                 assert result.report[name] == plain.report[name]
         assert result.report["resumed_slices"] > 4
 
-    def test_slices_between_two_references(self, volume, matched, tmp_path):
-        """They are matched with both; every match is kept, and a slice counts where none of them was made again."""
-        series = [section(level) for level in (-0.8, -0.45, 0.1, 0.6)]
-        plain = colorize(volume, series, settings(batch=1))
-        total = sum(matched)
-        assert plain.report["blended_slices"] and total > 8
+    @pytest.mark.parametrize("smoother", ["regression", "guided"])
+    def test_slices_near_a_change_of_reference(self, volume, matched, smoother, tmp_path):
+        """They are matched once, and colour passes over the place where the run was broken off."""
+        series, chosen = [section(level) for level in (-0.8, -0.45, 0.1, 0.6)], settings(batch=1, smoother=smoother)
+        plain = colorize(volume, series, chosen)
+        assert sum(matched) == 8 and len(set(plain.report["reference_of_slice"].values())) > 2
         steps = []
-        colorize(volume, series, settings(batch=1), progress=lambda _, text: steps.append(text))
+        colorize(volume, series, chosen, progress=lambda _, text: steps.append(text))
         for after in range(3, len(steps), 3):
             matched.clear()
-            broken_off(after, volume, series, settings(batch=1), resume=tmp_path / str(after))
-            result = colorize(volume, series, settings(batch=1), resume=tmp_path / str(after))
-            assert sum(matched) == total and result.rgb.tobytes() == plain.rgb.tobytes()
+            broken_off(after, volume, series, chosen, resume=tmp_path / str(after))
+            result = colorize(volume, series, chosen, resume=tmp_path / str(after))
+            assert sum(matched) == 8 and result.rgb.tobytes() == plain.rgb.tobytes()
             assert 0 < result.report["resumed_slices"] < 9
 
     def test_broken_off_again_and_again(self, volume, references, matched, tmp_path):
