@@ -86,11 +86,11 @@ def colorize(
 def _colorize(
     volume: Volume, references: Sequence, settings: Settings, run: Run, resume: bool | str | Resume, guard: Guard | None
 ) -> ColorVolume:
+    run.step(0.0, "preparing")  # before torch is imported, which takes seconds on a cold disk and cannot be broken off
     from .run.engine import Engine
     from .run.resume import open_store
 
     with run.timed("prepare"):
-        run.step(0.0, "preparing")
         prepared = prepare(volume, references, settings, guard=guard)
         store = open_store(prepared, resume)
     for text in prepared.groups.unguarded(prepared.references) if prepared.groups else ():

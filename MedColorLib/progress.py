@@ -23,6 +23,23 @@ def check() -> None:
         run.check()
 
 
+def taken_along(function: Callable) -> Callable:
+    """The function, to be called on other threads: it asks `check` first, and what it calls may ask, as if on this one."""
+    run = getattr(_here, "run", None)
+    if run is None:
+        return function
+
+    def work(*arguments):
+        before, _here.run = getattr(_here, "run", None), run
+        try:
+            run.check()
+            return function(*arguments)
+        finally:
+            _here.run = before
+
+    return work
+
+
 class Run:
     """Progress, cancellation and seconds per stage of one run."""
 

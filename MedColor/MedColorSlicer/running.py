@@ -101,7 +101,9 @@ def a_core_for_the_window():
     """For a worker: torch and OpenCV leave one processor core to Slicer's window; afterwards they have their threads back.
 
     Workers may overlap (a live preview that is ending, a run): the last one that leaves gives the threads back.
-    MedColorLib is imported before torch, which reads on import how its threads are to wait for each other.
+    MedColorLib is imported before torch, which reads on import how its threads are to wait for each other. The first import of
+    torch takes seconds and cannot be cancelled; the plan's worker makes it while the user still chooses, so that a run finds it
+    done, unless Apply comes within those seconds.
     """
     import MedColorLib  # noqa: F401
 

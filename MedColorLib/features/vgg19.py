@@ -107,6 +107,7 @@ class VGG19:
         self._fc6: DenseLayer | None = None
         self._first = self._on_device(*self._folded_first(), torch.float32)
         for layer in range(1, len(self.strides)):
+            check()
             for name in self._names_between(layer):
                 self._kernel(name, self.dtype)
 

@@ -13,6 +13,7 @@ from ..features import choose_features
 from ..matching.tissue_guard import Groups, Guard, prepare_guard
 from ..parameters import PRESETS, Settings
 from ..plan import LeftOut, Plan
+from ..progress import check
 from ..references.loading import describe_references, load_references
 from ..references.photograph import Reference
 from ..scan.body import Body
@@ -120,6 +121,7 @@ def _repeats(views: Sequence[np.ndarray], chosen: list[int]) -> dict[int, int]:
     """Slice -> earlier neighbouring slice with exactly the same values in every view."""
     repeats: dict[int, int] = {}
     for before, k in zip(chosen, chosen[1:]):
+        check()
         if k == before + 1 and all(np.array_equal(view[k], view[before]) for view in views):
             repeats[k] = repeats.get(before, before)
     return repeats

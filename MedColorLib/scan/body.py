@@ -227,6 +227,7 @@ def _cut_lung(grey: np.ndarray, dark: np.ndarray, lung: float) -> np.ndarray:
 def _fill(flags: np.ndarray) -> None:
     radius = max(1, round(max(flags.shape[1:]) / 64))
     for plane in flags:
+        check()
         body = (plane & BODY) > 0
         if body.any():
             plane[filled(body, radius)] |= BODY

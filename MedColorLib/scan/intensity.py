@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import InputError, SettingsError
+from ..progress import check
 
 _SAMPLE_LIMIT = (
     1_000_000  # voxels looked at for percentiles: standard error of the rank 0.01 %, bounded time and memory
@@ -61,6 +62,7 @@ def check_values(array: np.ndarray, name: str) -> str | None:
     bad = 0
     low, high = np.inf, -np.inf
     for plane in array:
+        check()
         good = plane if plane.dtype.kind in "iub" else plane[np.isfinite(plane)]
         bad += plane.size - good.size
         if good.size:

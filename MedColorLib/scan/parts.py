@@ -10,6 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..progress import check
+
 TISSUE, CLEAR, PLATE, BODY = (np.uint8(1 << n) for n in range(4))  # bits of the flags of a voxel of the reduced raster
 
 _LONG = 0.15  # of the picture's side: shorter things are ears, noses and fingers
@@ -81,6 +83,7 @@ def mark_plates(flags: np.ndarray) -> None:
     radius = max(2, round(side / 48))
     times = np.zeros(flags.shape[1:], np.int32)
     for plane in flags:
+        check()
         tissue = (plane & TISSUE) > 0
         thin = (tissue & ~opened(holes_filled(tissue), radius)).astype(np.uint8)
         _, labels, stats, _ = cv2.connectedComponentsWithStats(thin, connectivity=8)
@@ -144,6 +147,7 @@ def _labels(plane: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Labels of what may be body in a plane of flags, and their statistics without the background's."""
     import cv2
 
+    check()
     chosen = ((plane & (TISSUE | PLATE)) == TISSUE).astype(np.uint8)
     _, labels, stats, _ = cv2.connectedComponentsWithStats(chosen, connectivity=4)
     return labels, stats[1:]

@@ -5,6 +5,8 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
+import sys
+from collections import Counter
 from itertools import permutations, product
 
 import cv2
@@ -234,6 +236,27 @@ class TestProgressAndCancel:
                 cancelled=lambda: len(seen) >= after,
             )
         assert len(seen) == after
+
+    def test_whatever_goes_slice_by_slice_can_be_cancelled_at_each(self, ct):
+        """Asked by each of these for every slice: the whole stack of 512 x 512 x 200 takes some of them seconds."""
+        asking = Counter()
+
+        def cancelled():
+            frame = sys._getframe()
+            while frame := frame.f_back:
+                asking[frame.f_code.co_name] += 1
+                if "function" in frame.f_locals:  # on a thread of its own: what `taken_along` is about to call
+                    asking[frame.f_locals["function"].__qualname__] += 1
+            return False
+
+        result = colorize(part(ct), [ct.reference], settings(), cancelled=cancelled)
+        count = len(result.report["plan"]["slices"])
+        stages = ("check_values", "_flags", "mark_plates", "_find_parts", "_select", "_fill")
+        apart = ("Evidence._sums", "Evidence._relation", "Evidence._remainder", "Painter._color")
+        assert {stage: asking[stage] for stage in (*stages, *apart) if asking[stage] < count} == {}
+        assert asking["_repeats"] == count - 1
+        assert asking["Engine._learn_from_own_matches.<locals>.matched"]
+        assert asking["_scores.<locals>.<lambda>"], "which way up the reference lies"
 
 
 class TestMemory:

@@ -31,9 +31,9 @@ def patch_similarity(target: Tensor, reference: Tensor, field: Tensor, radius: i
     for n in range(count):
         values = there[n if len(there) > 1 else 0]
         for top in range(0, height, rows):
-            check()
             bottom = min(height, top + rows)
             for dy in range(side):
+                check()
                 for dx in range(side):
                     picked = values[base[n, top:bottom] + dy * stride + dx]
                     out[n, top:bottom] += (picked * here[n, top + dy : bottom + dy, dx : dx + width]).sum(-1).float()
