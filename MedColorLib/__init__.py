@@ -11,6 +11,7 @@ holds the files of one stage or the choice of alternatives:
 | the map | `pipeline` | volume, references, settings -> `ColorVolume`: one call per stage |
 | run | `run/prepare`, `run/engine`, `run/paint` | plan, and what is left out; batches of slices matched, then painted |
 | interruption | `run/resume` | matches of an unfinished run, kept on disk |
+| time points | `run/timepoints` | volumes of a series -> whose matches serve whom |
 | looking about | `run/live` | volume, references, a slice -> its colours at once |
 | forecast | `run/estimate`, `run/expected_error` | time and error to expect |
 | colour | `coloring/transfer`, `coloring/coherence` | T', the scan's luminance, evidence of neighbours -> sRGB slice |
@@ -55,7 +56,7 @@ if TYPE_CHECKING:  # what `__getattr__` finds, for type checkers and editors; a 
     from .io.files import read_color_volume, read_volume, write_color_volume, write_confidence
     from .matching.tissue_guard import Guard
     from .parameters import Settings
-    from .pipeline import colorize, make_plan
+    from .pipeline import colorize, colorize_time_points, make_plan
     from .plan import Plan
     from .run.resume import Resume, forget_run
     from .volume import ColorVolume, Volume
@@ -72,6 +73,7 @@ _WHERE = {
     "Settings": "parameters",
     "Volume": "volume",
     "colorize": "pipeline",
+    "colorize_time_points": "pipeline",
     "fast_global_smoother": "filters",
     "forget_run": "run.resume",
     "make_plan": "pipeline",
@@ -90,6 +92,7 @@ __all__ = [
     "Settings",
     "Volume",
     "colorize",
+    "colorize_time_points",
     "fast_global_smoother",
     "forget_run",
     "make_plan",

@@ -6,7 +6,7 @@ import hashlib
 import logging
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from .run.engine import Engine
     from .run.paint import Painter
     from .run.resume import Resume, RunStore
+    from .run.timepoints import KeptMatches
 
 log = logging.getLogger("MedColorLib")
 
@@ -83,28 +84,84 @@ def colorize(
         return _colorize(volume, references, settings or Settings(), Run(progress, cancelled), resume, guard)
 
 
+def colorize_time_points(
+    volumes: Sequence[Volume],
+    references: Sequence,
+    settings: Settings | None = None,
+    progress: Progress | None = None,
+    cancelled: Callable[[], bool] | None = None,
+    guard: Guard | None = None,
+) -> Iterator[ColorVolume]:
+    """Colour the volumes of a series (a beating heart, phases of contrast), one after the other.
+
+    Where a time point shows nearly the same as an earlier one, it takes the matches of that one, and only its colour is made
+    anew, from its own grey; see `run.timepoints`. The plan and the report ("time_point") of each say what was done.
+
+    Args:
+        volumes: of one grid (shape and geometry), in the order of time.
+        The others: as for `colorize`, the same for all.
+
+    Yields:
+        What `colorize` returns, for each time point as soon as it is coloured: it may be written and forgotten.
+
+    Raises:
+        As `colorize`, when the first or next result is asked for. InputError, too: no volume, or several grids.
+    """
+    from .run.timepoints import Series, share_of
+
+    settings = settings or Settings()
+    run = Run(progress, cancelled)
+    with memory_errors("cpu"), run.timed("prepare"):
+        run.step(0.0, "preparing")
+        series = Series(volumes, references, settings, guard, run)
+    for n, prepared in enumerate(series.prepared):
+        own, said = Run(share_of(progress, n, len(series)), cancelled), series.say(n)
+        with memory_errors("cpu"):
+            colored, engine = _color_prepared(prepared, own, *series.matches_for(n))
+        series.keep(n, engine)
+        colored.report["time_point"] = said
+        yield colored
+
+
 def _colorize(
     volume: Volume, references: Sequence, settings: Settings, run: Run, resume: bool | str | Resume, guard: Guard | None
 ) -> ColorVolume:
     run.step(0.0, "preparing")  # before torch is imported, which takes seconds on a cold disk and cannot be broken off
-    from .run.engine import Engine
     from .run.resume import open_store
 
     with run.timed("prepare"):
         prepared = prepare(volume, references, settings, guard=guard)
         store = open_store(prepared, resume)
+    if store and store.stored_slices():
+        log.info("resume: an interrupted run left %d slices matched; going on from there", store.stored_slices())
+    return _color_prepared(prepared, run, store)[0]
+
+
+def _color_prepared(
+    prepared: Prepared, run: Run, store: RunStore | KeptMatches | None, like: Engine | None = None
+) -> tuple[ColorVolume, Engine]:
+    """Everything after the stage *prepare*.
+
+    Args:
+        like: engine of a time point that shows nearly the same.
+
+    Returns:
+        The result, and the engine that made it.
+    """
+    from .run.engine import Engine
+    from .run.timepoints import taken_over
+
+    volume = prepared.volume
     for text in prepared.groups.unguarded(prepared.references) if prepared.groups else ():
         log.warning("tissue guard: %s", text)
     for text in prepared.plan.warnings:
         log.warning("%s", text)
-    if store and store.stored_slices():
-        log.info("resume: an interrupted run left %d slices matched; going on from there", store.stored_slices())
     rgb = np.zeros((*volume.array.shape, 3), np.uint8)
     confidence = np.zeros(volume.array.shape, np.uint8) if prepared.settings.confidence else None
     with device.side_by_side() as each:
         with run.timed("network"):
             run.step(0.02, f"loading {prepared.plan.features} features")
-            engine = Engine(prepared, run, store, each)
+            engine = taken_over(like, prepared, run, each) if like else Engine(prepared, run, store, each)
         painter = _color_slices(prepared, engine, rgb, confidence, run, each)
     with run.timed("rim"):
         run.step(0.99, "border of the body")
@@ -112,7 +169,7 @@ def _colorize(
     run.step(1.0, "done")
     _leave_out(prepared.plan, store.resumed_slices if store else 0)
     report = {**_report(prepared, engine, run, painter), "rim_voxels": rim_voxels, **_resumed(store)}
-    return ColorVolume(rgb, volume.ijk_to_ras, report, f"{volume.name} coloured", confidence)
+    return ColorVolume(rgb, volume.ijk_to_ras, report, f"{volume.name} coloured", confidence), engine
 
 
 def _leave_out(plan: Plan, resumed: int) -> None:
@@ -122,7 +179,7 @@ def _leave_out(plan: Plan, resumed: int) -> None:
         plan.left_out.append(LeftOut("matching done before", why, f"{resumed} of {len(plan.slices)} slices"))
 
 
-def _resumed(store: RunStore | None) -> dict:
+def _resumed(store: RunStore | KeptMatches | None) -> dict:
     """What the report says of an interrupted run."""
     if store is None:
         return {"resumed_slices": 0, "resume_run": None, "resume_problem": None}

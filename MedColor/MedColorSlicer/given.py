@@ -73,6 +73,28 @@ def take_all(volumes: list, references, settings, nodes: dict) -> list[Given]:
     return found
 
 
+def colorize_all(work: list[Given], progress=None, cancelled=None) -> list:
+    """Colour what `take_all` took: together what lies on one grid, so that matches may serve several time points."""
+    import MedColorLib
+
+    grids: dict[tuple, list[int]] = {}
+    for n, one in enumerate(work):
+        grids.setdefault((one.volume.array.shape, one.volume.ijk_to_ras.tobytes()), []).append(n)
+    results, done = {}, 0.0
+    for members in grids.values():
+        share = len(members) / len(work)
+
+        def report(fraction, text="", done=done, share=share):
+            progress(done + fraction * share, text)
+
+        first = work[members[0]]
+        volumes = [work[n].volume for n in members]
+        arguments = first.pictures, first.settings, progress and report, cancelled, first.guard
+        results.update(zip(members, MedColorLib.colorize_time_points(volumes, *arguments)))
+        done += share
+    return [results[n] for n in range(len(work))]
+
+
 def settings_of(settings, options):
     """Settings with fields replaced by name.
 

@@ -127,6 +127,8 @@ class MedColorLogic(ScriptedLoadableModuleLogic):
     ):
         """Colour every time point of a sequence.
 
+        Time points that show nearly the same are matched once (`MedColorLib.colorize_time_points`); the log says which.
+
         Args:
             sequence: vtkMRMLSequenceNode of scalar volumes.
             references, settings, progress, cancelled, run, options: as for `process`.
@@ -149,7 +151,7 @@ class MedColorLogic(ScriptedLoadableModuleLogic):
         work = given.take_all(volumes, references, settings, nodes or {})
 
         def compute():
-            return [one.colorize(sequences.share_of(progress, n, len(work)), cancelled) for n, one in enumerate(work)]
+            return given.colorize_all(work, progress, cancelled)
 
         results = compute() if run is None else run(compute)
         if sequence.GetScene() is None or sequence.GetNumberOfDataNodes() != len(volumes):

@@ -110,7 +110,8 @@ class Runs:
         player = sequences.shown(colored, grey)
         if player is not None:
             self._showResult(p, grey, player)
-        return colored.GetName()
+        matched = sequences.how_matched(colored)
+        return f"{colored.GetName()} ({matched})" if matched else colored.GetName()
 
     def _showResult(self, p, grey, node):
         """The result of the chosen volume; those of others wait in the scene."""

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import json
+
 import slicer
 from slicer.i18n import tr as _
 
 from . import scene
+
+TIME_POINTS_ATTRIBUTE = "MedColor.TimePoints"  # on a coloured sequence: which time point took the matches of which
 
 
 def volumes_of(sequence) -> list:
@@ -111,6 +115,8 @@ def publish(sequence, results):
             colored.SetDataNodeAtValue(carrier, sequence.GetNthIndexValue(number))
         for browser in browsers_of(sequence):
             browser.AddSynchronizedSequenceNodeID(colored.GetID())
+        said = [result.report["time_point"] for result in results if "time_point" in result.report]
+        colored.SetAttribute(TIME_POINTS_ATTRIBUTE, json.dumps(said))
     except BaseException:
         nodes.RemoveNode(colored)
         raise
@@ -124,10 +130,20 @@ def browsers_of(sequence) -> list:
     return [browser for browser in found if browser.IsSynchronizedSequenceNode(sequence, True)]
 
 
-def share_of(progress, number: int, count: int, name: str = ""):
-    """What one time point (or volume of that name) of several reports as part of all; None without `progress`."""
+def how_matched(colored) -> str:
+    """How many time points of a coloured sequence took the matches of another one, for people; empty where none did."""
+    said = json.loads(colored.GetAttribute(TIME_POINTS_ATTRIBUTE) or "[]")
+    taken = sum(one["matches_of"] != one["number"] for one in said)
+    if not taken:
+        return ""
+    return _("{taken} of {count} time points show nearly the same as an earlier one and took its matches").format(
+        taken=taken, count=len(said)
+    )
+
+
+def share_of(progress, number: int, count: int, name: str):
+    """What one volume of several reports as part of all; None without `progress`."""
     if progress is None or count == 1:
         return progress
-    text = _("time point {number} of {count}: ") if not name else _("{name}, {number} of {count}: ")
-    text = text.format(name=name, number=number + 1, count=count)
+    text = _("{name}, {number} of {count}: ").format(name=name, number=number + 1, count=count)
     return lambda fraction, what="": progress((number + fraction) / count, text + what)

@@ -57,13 +57,19 @@ class Prepared:
 
 
 def prepare(
-    volume: Volume, references: Sequence, settings: Settings, find_device: bool = True, guard: Guard | None = None
+    volume: Volume,
+    references: Sequence,
+    settings: Settings,
+    find_device: bool = True,
+    guard: Guard | None = None,
+    loaded: tuple[Reference, ...] | None = None,
 ) -> Prepared:
     """Decide everything; see `Prepared`.
 
     Args:
         find_device: False leaves "auto" undecided, which needs no torch: enough for a plan.
         guard: labels that matching and colour do not cross.
+        loaded: the references as they were prepared for another time point of the same series.
 
     Raises:
         InputError, SettingsError, WeightsError, DeviceError: with the remedy in the message.
@@ -75,7 +81,7 @@ def prepare(
             "reconstruction lbfgs inverts a network of several layers; the own features have one: use warp or vgg19"
         )
     device = choose_device(settings.device) if find_device else settings.device
-    prepared_references = load_references(references, settings.exposure, settings.reference_masks)
+    prepared_references = loaded or load_references(references, settings.exposure, settings.reference_masks)
     order = slice_order(volume.ijk_to_ras, settings.plane)
     view = planes_of(order.view(volume.array))
     grid = choose_grid(PRESETS[settings.preset].grid_px)

@@ -61,6 +61,11 @@ def test_every_time_point_is_coloured_and_played(logic, library):
     assert fractions == sorted(fractions)
     assert seen[-1][1].startswith("time point 3 of 3")
     assert [call[2].preset for call in library.calls] == ["draft"] * 3
+    from MedColorSlicer import sequences
+
+    assert sequences.how_matched(colored) == (
+        "1 of 3 time points show nearly the same as an earlier one and took its matches"
+    )
 
 
 def roi_node():

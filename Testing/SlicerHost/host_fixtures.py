@@ -101,6 +101,7 @@ def library(monkeypatch):
 
     stand_in = StandIn()
     monkeypatch.setattr(MedColorLib, "colorize", stand_in)
+    monkeypatch.setattr(MedColorLib, "colorize_time_points", stand_in.time_points)
     return stand_in
 
 
@@ -111,6 +112,16 @@ class StandIn:
         self.calls, self.steps, self.error, self.pause_seconds = [], 4, None, 0.0
         self.guards, self.finished, self.report = [], 0, {}
         self.in_the_middle = lambda: None
+
+    def time_points(self, volumes, references, settings, progress, cancelled, guard):
+        from MedColorLib.run.timepoints import share_of
+
+        grids = {(volume.array.shape, volume.ijk_to_ras.tobytes()) for volume in volumes}
+        assert len(grids) == 1, "the library refuses several"
+        for n, volume in enumerate(volumes):
+            colored = self(volume, references, settings, share_of(progress, n, len(volumes)), cancelled, guard)
+            colored.report["time_point"] = {"number": n + 1, "of": len(volumes), "matches_of": min(n + 1, 2)}
+            yield colored
 
     def __call__(self, volume, references, settings=None, progress=None, cancelled=None, guard=None):
         from MedColorLib.errors import Cancelled
