@@ -167,11 +167,8 @@ class LivePart:
         panel, p = self.panel, self.panel.parameters
         session, work = self._session if key == self._key else None, None
         if session is None:
-            nodes = {
-                name: value for name, value in panel.nodes.arguments().items() if name not in ("labels", "labelGroups")
-            }
             try:
-                work = given.take(p.inputVolume, panel.inputs.references(), settings, **nodes)
+                work = given.take(p.inputVolume, panel.inputs.references(), settings, **panel.nodes.arguments())
             except Exception as error:
                 self._say(panel.explain(error))
                 return
@@ -188,6 +185,7 @@ class LivePart:
         plain = dataclasses.replace(settings, lightness=1.0, exposure="auto")
         choices = (p.referenceSource, p.referencePath, p.pickedReference, p.referenceMaskPath)
         nodes = [p.roi.GetMTime() if p.roi else 0, labels.state_of(p.referenceMaskNode)]
+        nodes += [labels.state_of(p.labels), p.groupLabels if p.labels else None]
         nodes.append(scene.voxel_state(p.referenceNode) if p.referenceNode else ())
         body = labels.state_of(p.bodyNode if p.body == "node" else None)
         place = scene.ijk_to_world(p.inputVolume).tobytes()
@@ -203,8 +201,6 @@ class LivePart:
             notes.append(_("Under a non-linear transform slice views cut the bent slices; harden the transform."))
         if tilted:
             notes.append(_("Tilted against the volume, without live preview: {views}.").format(views=", ".join(tilted)))
-        if p.labels is not None:
-            notes.append(_("The live preview leaves the tissue labels out; Preview slice does not."))
         return " ".join(notes)
 
     def _look(self) -> None:
@@ -279,7 +275,7 @@ def _work(session, work, wanted: dict, answers, stop) -> None:
     try:
         with running.a_core_for_the_window():
             if session is None:
-                session = LiveSlices(work.volume, work.pictures, work.settings, stop.is_set)
+                session = LiveSlices(work.volume, work.pictures, work.settings, stop.is_set, work.guard)
                 answers.put(("session", session))
             session.cancelled = stop.is_set
             for view, question in wanted.items():

@@ -21,7 +21,9 @@ from .engine import Engine, ReferenceOnGrid
 from .prepare import prepare
 
 if TYPE_CHECKING:
+    from ..coloring.transfer import SliceMatch
     from ..matching.analogy import Match
+    from ..matching.tissue_guard import Guard
     from .resume import RunStore
 
 STEP_MM = 4.0  # between the transverse slices that slices across the stack are coloured from
@@ -39,11 +41,13 @@ class Look:
 class Evidence(NamedTuple):
     """What one transverse slice says of colour; see `coloring.transfer`.
 
-    kept: 0..1, the share of its colour that it keeps. trusted: 0..1, the share of its matches that can be trusted.
+    Attributes:
+        relation, rest: by tissue group that the slice has, or of None, all of it, without a guard.
+        kept: 0..1, the share of its colour that it keeps. trusted: 0..1, the share of its matches that can be trusted.
     """
 
-    relation: np.ndarray
-    rest: np.ndarray
+    relation: dict[int | None, np.ndarray]
+    rest: dict[int | None, np.ndarray]
     kept: float
     trusted: float
 
@@ -79,6 +83,7 @@ class LiveSlices:
         references: Sequence,
         settings: Settings | None = None,
         cancelled: Callable[[], bool] | None = None,
+        guard: Guard | None = None,
     ) -> None:
         """Args as for `pipeline.colorize`; what `live_settings` changes in the settings is not used.
 
@@ -91,14 +96,15 @@ class LiveSlices:
         self._settings = live_settings(settings or Settings())
         self._run.step(0.0, "preparing")
         with self._run.timed("prepare"):
-            self._prepared = prepare(volume, references, self._settings)
+            self._prepared = prepare(volume, references, self._settings, guard=guard)
+        self._groups = self._prepared.groups
         self._view = self._prepared.order.view(volume.array)
         self._run.step(0.0, "features")
         self._engine = Engine(self._prepared, self._run, cast("RunStore", Matches()))
         self._plain: Sequence | None = None  # the references as they are, once an exposure was changed
         self._exposure: str | float | None = self._settings.exposure
         self._evidence: dict[int, Evidence] = {}
-        self._smooth: np.ndarray | None = None
+        self._smooth: dict[int | None, tuple[list[int], np.ndarray]] | None = None
 
     def plane(self, axis: int, index: int, look: Look | None = None) -> np.ndarray:
         """One slice in colour.
@@ -142,7 +148,7 @@ class LiveSlices:
     def _exchange(self, n: int, reference) -> None:
         """The same photograph in another exposure: it lies as before, and its features stay."""
         engine = self._engine
-        new = ReferenceOnGrid(reference, engine.grid)
+        new = ReferenceOnGrid(reference, engine.grid, self._groups.pictures[n] if self._groups else None)
         new.turn(engine.references[n].lie)
         engine.references[n] = new
         if n in engine.choice.values():
@@ -158,10 +164,20 @@ class LiveSlices:
             greys, masks, lab, trusts = self._engine.match([k], self._engine.choice[k])
             match, trusted = SliceMatch(lab[0], greys[0], masks[0], trusts[0]), trusts[0].trusted_fraction
             parameters = self._engine.transfer_parameters(trusted_fraction=trusted)
-            relation = solve_relation(relation_sums(match, parameters), parameters)
-            rest = remainder(match, relation, parameters)
-            self._evidence[k] = Evidence(relation, rest, saturation(float(trusts[0].mean)), trusted)
+            own = Evidence({}, {}, saturation(float(trusts[0].mean)), trusted)
+            for name, part in self._by_group(k, match).items():
+                own.relation[name] = solve_relation(relation_sums(part, parameters), parameters)
+                own.rest[name] = remainder(part, own.relation[name], parameters)
+            self._evidence[k] = own
         return self._evidence[k]
+
+    def _by_group(self, k: int, match: SliceMatch) -> dict[int | None, SliceMatch]:
+        """A slice's match for each group that it has, with nothing outside it."""
+        if self._groups is None:
+            return {None: match}
+        there = np.unique(self._groups.in_box(k, self._prepared.body.boxes[k]))
+        on_grid = self._engine.groups_on_grid([k])[0]
+        return {int(name): replace(match, mask=match.mask & (on_grid == name)) for name in there}
 
     def _transverse(self, k: int, look: Look) -> np.ndarray:
         from ..coloring.transfer import combine, to_picture
@@ -172,8 +188,14 @@ class LiveSlices:
         own = self._of_slice(k)
         grey, mask = self._engine.slice_in_box(k)[0], self._engine.painted_in_box(k)
         parameters = self._engine.transfer_parameters(look.lightness, own.trusted)
-        lab = combine(grey, mask, own.relation, own.rest, parameters, saturation=own.kept)
-        j0, j1, i0, i1 = self._prepared.body.boxes[k]
+        box = self._prepared.body.boxes[k]
+        groups = None if self._groups is None else self._groups.in_box(k, box)
+        lab = np.zeros((np.count_nonzero(mask), 3))
+        for name, relation in own.relation.items():
+            inside = mask if groups is None else mask & (groups == name)
+            if inside.any():
+                lab[inside[mask]] = combine(grey, inside, relation, own.rest[name], parameters, saturation=own.kept)
+        j0, j1, i0, i1 = box
         out[j0:j1, i0:i1] = to_picture(lab, mask)[0]
         return self._in_region(out, 0)
 
@@ -190,21 +212,36 @@ class LiveSlices:
         if not mask.any():
             return out
         read = without_noise(grey) if parameters.luminance == "natural" else grey
-        change, kept = self._guess(seen, number, read, parameters)
+        change = np.zeros((*read.shape, 3 if parameters.luminance == "natural" else 2), np.float32)
+        groups = self._groups_across(seen, number)
+        for name, (witnesses, relations) in self._relations().items():
+            inside = mask if groups is None else mask & (groups == name)
+            if inside.any():
+                guess = self._guess(seen, number, read, parameters, witnesses, relations, inside.any(axis=1))
+                change[inside] = guess[inside]
+        kept = float(np.mean([self._of_slice(k).kept for k in self._witnesses()]))
         out[mask] = to_picture(colors_of(grey, mask, change, parameters, kept), mask)[0][mask]
         return self._in_region(out, seen)
 
-    def _guess(self, seen: int, number: int, read: np.ndarray, parameters) -> tuple[np.ndarray, float]:
-        """What the transverse slices around say of each pixel, and the mean share of colour that they keep."""
+    def _groups_across(self, seen: int, number: int) -> np.ndarray | None:
+        """Tissue groups of the pixels of a slice across the stack."""
+        if self._groups is None:
+            return None
+        labels = self._prepared.order.view(self._groups.guard.labels.array)
+        return self._groups.table[np.take(labels, number, axis=seen).astype(np.intp)]
+
+    def _guess(
+        self, seen: int, number: int, read: np.ndarray, parameters, witnesses, relations, wanted: np.ndarray
+    ) -> np.ndarray:
+        """What the transverse slices around, or those of them that have a group, say of each pixel of the wanted lines."""
         from ..coloring.transfer import spread_guide
         from ..filters.regression import predict_at
 
-        witnesses, boxes = self._witnesses(), self._prepared.body.boxes
-        relations = self._relations(witnesses)
+        boxes = self._prepared.body.boxes
         guide = spread_guide(read, parameters)
         change = np.zeros((*read.shape, relations.shape[-1]), np.float32)
         for n in range(len(witnesses)):
-            share = _shares(witnesses, n, len(read)) * (boxes[:, 1] > boxes[:, 0])
+            share = _shares(witnesses, n, len(read)) * (boxes[:, 1] > boxes[:, 0]) * wanted
             lines = np.flatnonzero(share)
             if not lines.size:
                 continue
@@ -214,17 +251,24 @@ class LiveSlices:
             moving = (np.arange(read.shape[1]) + 0.5 - low[other][:, None]) / (high[other] - low[other])[:, None]
             place = (fixed, moving) if seen == 1 else (moving, fixed)
             change[lines] += predict_at(relations[n], *place, guide[lines]) * share[lines, None, None]
-        return change, float(np.mean([self._of_slice(k).kept for k in witnesses]))
+        return change
 
-    def _relations(self, witnesses: Sequence[int]) -> np.ndarray:
-        """(witness, ...) what they say, averaged along the stack as in a run."""
+    def _relations(self) -> dict[int | None, tuple[list[int], np.ndarray]]:
+        """Of each group the witnesses that have it, and (witness, ...) what they say, averaged along the stack as in a run."""
         if self._smooth is None:
             from scipy.ndimage import gaussian_filter1d
 
-            found = np.stack([self._of_slice(k).relation for k in witnesses])
-            apart = np.diff(witnesses).mean() if len(witnesses) > 1 else 1.0
-            sigma = self._settings.coherence_mm / max(apart * self._prepared.slice_spacing_mm, 1e-6)
-            self._smooth = gaussian_filter1d(found, sigma, axis=0, mode="nearest") if sigma > 0 else found
+            found: dict[int | None, dict[int, np.ndarray]] = {}
+            for k in self._witnesses():
+                for name, relation in self._of_slice(k).relation.items():
+                    found.setdefault(name, {})[k] = relation
+            smooth = {}
+            for name, of in found.items():
+                apart = np.diff(list(of)).mean() if len(of) > 1 else 1.0
+                sigma = self._settings.coherence_mm / max(apart * self._prepared.slice_spacing_mm, 1e-6)
+                own = np.stack(list(of.values()))
+                smooth[name] = list(of), gaussian_filter1d(own, sigma, axis=0, mode="nearest") if sigma > 0 else own
+            self._smooth = smooth
         return self._smooth
 
     def _witnesses(self) -> list[int]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import slicer
+import vtk
 from host_fixtures import color_node, grey_node, label_node, node_ids
 from panel_fixtures import turned, ui_settled, wait_for
 
@@ -210,14 +211,41 @@ def test_errors_and_limits_are_said(ready, views):
     assert "no colour" not in ready.ui.statusLabel.text
 
 
-def test_tilted_views_and_labels_are_said(ready, views):
+def test_tissue_labels_are_kept_apart(ready, views, sessions):
+    """The upper half of the head is another tissue by the labels: it can take no colour from below."""
+    grey = ready.parameters.inputVolume
+    ready.ui.followCheckBox.click()
+    settled(ready)
+    before = {name: picture(views, name) for name in views}
+    voxels = np.zeros(slicer.util.arrayFromVolume(grey).shape, np.uint8)
+    voxels[12:] = 1
+    voxels[:, 20:40] += 2
+    labels = label_node(voxels)
+    matrix = vtk.vtkMatrix4x4()
+    grey.GetIJKToRASMatrix(matrix)
+    labels.SetIJKToRASMatrix(matrix)
+    ready.ui.labelsSelector.setCurrentNode(labels)
+    settled(ready)
+    assert [session._prepared.groups is not None for session in sessions.made] == [False, True]
+    assert all((picture(views, name) != before[name]).any() for name in views)
+    assert not ready.ui.statusLabel.text
+    ready.parameters.lightness = 0.5
+    settled(ready)
+    assert len(sessions.made) == 2
+    voxels = slicer.util.arrayFromVolume(labels)
+    voxels[voxels == 1] = 0
+    slicer.util.arrayFromVolumeModified(labels)
+    ready.ui.lightnessSlider.value = 0.6
+    settled(ready)
+    assert len(sessions.made) == 3, "the labels were painted on"
+
+
+def test_tilted_views_are_said(ready, views):
     ready.parameters.inputVolume.SetAndObserveTransformNodeID(turned(slicer.mrmlScene, 30).GetID())
-    ready.parameters.labels = label_node()
     ready.ui.followCheckBox.click()
     settled(ready)
     text = ready.ui.statusLabel.text
     assert "Tilted against the volume, without live preview: Red, Green" in text
-    assert "leaves the tissue labels out" in text
 
 
 def test_missing_packages_are_said(ready, views, monkeypatch):

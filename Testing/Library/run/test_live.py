@@ -7,10 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from MedColorLib import Settings, Volume, colorize
+from MedColorLib import Guard, Settings, Volume, colorize
 from MedColorLib.color.difference import ciede2000
 from MedColorLib.color.lab import srgb_to_lab
 from MedColorLib.errors import Cancelled
+from MedColorLib.phantom.tissues import NUMBER, TISSUES
 from MedColorLib.run.live import LiveSlices, Look
 
 DRAFT = Settings(preset="draft", features="embedded")
@@ -92,6 +93,29 @@ def test_another_exposure_is_near_that_of_a_run_and_can_be_taken_back(ct):
     assert difference(darker, run[6], inner) < 1.5
     assert difference(darker, before, inner) > 8
     np.testing.assert_allclose(live.plane(0, 6).astype(int), before.astype(int), atol=2)
+
+
+@pytest.mark.parametrize("drawn", [False, True], ids=["labels of the scan", "and of the photograph"])
+def test_tissue_guard(ct, live, drawn):
+    """Bone and brain apart from the rest: as in a run with the same guard, and not as without it."""
+    painted = np.array([color for _, _, color in TISSUES.values()])
+    nearest = np.argmin(((ct.reference[..., None, :] - painted.astype(float)) ** 2).sum(-1), axis=-1)
+    groups = np.zeros(len(TISSUES), np.uint8)
+    groups[NUMBER["bone"]], groups[[NUMBER["grey matter"], NUMBER["white matter"]]] = 1, 2
+    guard = Guard(Volume(groups[ct.labels], ct.volume.ijk_to_ras), [groups[nearest]] if drawn else None)
+    guarded = LiveSlices(ct.volume, [ct.reference], guard=guard)
+    settings = replace(DRAFT, coherence_mm=0.0)
+    whole = colorize(ct.volume, [ct.reference], settings, guard=guard).rgb
+    inner = core(ct.inside[6])
+    np.testing.assert_array_equal(guarded.plane(0, 6)[inner], whole[6][inner])
+    assert difference(guarded.plane(0, 6), live.plane(0, 6), inner) > 0.3
+    for axis, index in ((1, 30), (2, 25)):
+        run, inside = np.take(whole, index, axis=axis), core(np.take(ct.inside, index, axis=axis))
+        assert difference(guarded.plane(axis, index), run, inside) < 3.5
+        assert difference(guarded.plane(axis, index), run, inside) < difference(live.plane(axis, index), run, inside)
+    if drawn:
+        light = guarded.plane(0, 6, Look(exposure=0.6))
+        assert difference(light, guarded.plane(0, 6, Look(exposure=0.6, lightness=0.3)), inner) > 1
 
 
 def test_only_the_region_and_nothing_where_there_is_no_body(ct):
