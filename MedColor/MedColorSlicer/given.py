@@ -60,16 +60,20 @@ def take(  # the keywords are those of `MedColorLogic.process`
     return Given(volume, pictures, settings, guard)
 
 
-def take_all(volumes: list, references, settings, nodes: dict) -> list[Given]:
-    """`take` for each of several volumes with the same further nodes; once for all that lie on one grid."""
+def take_all(volumes: list, references, settings, nodes: dict, player=None) -> list[Given]:
+    """`take` for each of several volumes with the same further nodes; once for all that lie on one grid.
+
+    Args:
+        player: volume that shows them one after the other under a transform, of which they know nothing: they lie there.
+    """
     first: dict[tuple, Given] = {}
     found = []
     for node in volumes:
-        grid = (node.GetImageData().GetDimensions(), scene.ijk_to_world(node).tobytes())
-        if grid in first:
-            found.append(dataclasses.replace(first[grid], volume=scene.volume_from_node(node)))
-        else:
-            found.append(first.setdefault(grid, take(node, references, settings, **nodes)))
+        placed = player or node
+        grid = (node.GetImageData().GetDimensions(), scene.ijk_to_world(placed).tobytes())
+        base = first[grid] if grid in first else first.setdefault(grid, take(placed, references, settings, **nodes))
+        own = scene.volume_from_node(node)
+        found.append(dataclasses.replace(base, volume=dataclasses.replace(own, ijk_to_ras=base.volume.ijk_to_ras)))
     return found
 
 

@@ -133,8 +133,8 @@ class MedColorLogic(ScriptedLoadableModuleLogic):
             sequence: vtkMRMLSequenceNode of scalar volumes.
             references, settings, progress, cancelled, run, options: as for `process`.
             nodes: {name: value} of further arguments of `process`: roi, labels, labelGroups, body, referenceLabels,
-                referenceMasks; the same for every time point. Nodes of roi, labels and body lie where the time points
-                do: not where a transform of the volume that plays them shows them.
+                referenceMasks; the same for every time point. Nodes of roi, labels and body lie where the volume that
+                plays the time points shows them, under its transform, too.
 
         Returns:
             vtkMRMLSequenceNode of vector volumes, in step with the sequence in the browsers that play it. All time points
@@ -147,8 +147,8 @@ class MedColorLogic(ScriptedLoadableModuleLogic):
 
         settings = given.settings_of(settings, options)
         volumes = sequences.volumes_of(sequence)
-        sequences.check_place(sequence, nodes or {})
-        work = given.take_all(volumes, references, settings, nodes or {})
+        player = sequences.moved_player(sequence, nodes or {})
+        work = given.take_all(volumes, references, settings, nodes or {}, player)
 
         def compute():
             return given.colorize_all(work, progress, cancelled)

@@ -184,11 +184,12 @@ class LivePart:
         """What the kept part of the work depends on: everything but what is seen at once."""
         plain = dataclasses.replace(settings, lightness=1.0, exposure="auto")
         choices = (p.referenceSource, p.referencePath, p.pickedReference, p.referenceMaskPath)
-        nodes = [p.roi.GetMTime() if p.roi else 0, labels.state_of(p.referenceMaskNode)]
+        nodes = [scene.region_state(p.roi), labels.state_of(p.referenceMaskNode)]
         nodes += [labels.state_of(p.labels), p.groupLabels if p.labels else None]
         nodes.append(scene.voxel_state(p.referenceNode) if p.referenceNode else ())
         body = labels.state_of(p.bodyNode if p.body == "node" else None)
-        place = scene.ijk_to_world(p.inputVolume).tobytes()
+        transform = p.inputVolume.GetParentTransformNode()
+        place = scene.ijk_to_world(p.inputVolume).tobytes(), transform.GetTransformToWorldMTime() if transform else 0
         voxels = scene.voxel_state(p.inputVolume)
         return (p.inputVolume.GetID(), voxels, place, choices, *nodes, body, json.dumps(plain.to_dict(), default=str))
 

@@ -8,7 +8,7 @@ import slicer
 import vtk
 from slicer.i18n import tr as _
 
-from . import labels, reference_masks, view_fit
+from . import labels, reference_masks, scene, view_fit
 
 # Field of the parameter node -> its selector; of several classes or of a class that may not be loaded yet, so tied by hand.
 _SELECTORS = {
@@ -56,7 +56,7 @@ class NodesPart:
     def state(self) -> tuple:
         """What changes whenever one of the nodes does; for a plan that need not be asked for again."""
         p = self.panel.parameters
-        marks = [node.GetMTime() if node else 0 for node in (p.roi, p.referenceNode)]
+        marks = [scene.region_state(p.roi), p.referenceNode.GetMTime() if p.referenceNode else 0]
         drawn = (p.referenceMaskNode, p.labels, p.bodyNode if p.body == "node" else None)
         return (*marks, *(labels.state_of(node) for node in drawn))
 

@@ -138,6 +138,9 @@ def ijk_to_world(node):
 def region_from_roi(roi_node, input_node):
     """((k0, k1), (j0, j1), (i0, i1)), half-open voxel ranges of the box around a markups ROI; None without one.
 
+    ROI and volume may be turned and lie under transforms of their own, non-linear ones too: the ROI is taken where the views
+    show it.
+
     Raises:
         MedColorLib.errors.InputError: the region has no size, or lies outside the volume.
     """
@@ -147,18 +150,44 @@ def region_from_roi(roi_node, input_node):
 
     from MedColorLib.errors import InputError
 
-    bounds = [0.0] * 6
-    roi_node.GetRASBounds(bounds)
-    if any(bounds[2 * axis + 1] <= bounds[2 * axis] for axis in range(3)):
+    if min(roi_node.GetSize()) <= 0:
         raise InputError(_("{name} has no size; drag its handles or select none.").format(name=roi_node.GetName()))
-    corners = np.array([[bounds[a], bounds[2 + b], bounds[4 + c], 1.0] for a in (0, 1) for b in (0, 1) for c in (0, 1)])
-    ijk = (np.linalg.inv(ijk_to_world(input_node)) @ corners.T)[:3]
+    ijk = _ijk_of_roi(roi_node, input_node)
     size = np.array(input_node.GetImageData().GetDimensions())
     low = np.clip(np.floor(ijk.min(axis=1) + 0.5), 0, size).astype(int)
     high = np.clip(np.ceil(ijk.max(axis=1) + 0.5), 0, size).astype(int)
     if (high <= low).any():
         raise InputError(_("{name} lies outside the volume; move it or select none.").format(name=roi_node.GetName()))
     return tuple((int(low[axis]), int(high[axis])) for axis in (2, 1, 0))
+
+
+def region_state(roi_node) -> tuple:
+    """What changes whenever a region does: by itself or with a transform it lies under."""
+    if roi_node is None:
+        return ()
+    transform = roi_node.GetParentTransformNode()
+    return (roi_node.GetID(), roi_node.GetMTime(), transform.GetTransformToWorldMTime() if transform else 0)
+
+
+def _ijk_of_roi(roi_node, input_node):
+    """(3, n) i, j, k of points of a ROI: its corners, and points between them where a transform may bend its sides."""
+    import itertools
+
+    import numpy as np
+
+    between = vtk.vtkGeneralTransform()
+    parents = roi_node.GetParentTransformNode(), input_node.GetParentTransformNode()
+    slicer.vtkMRMLTransformNode.GetTransformBetweenNodes(*parents, between)
+    straight = all(parent is None or parent.IsTransformToWorldLinear() for parent in parents)
+    along = np.linspace(-0.5, 0.5, 2 if straight else 17)
+    lattice = np.array([[*point, 1.0] for point in itertools.product(along, repeat=3)])
+    lattice[:, :3] *= roi_node.GetSize()
+    own = lattice @ slicer.util.arrayFromVTKMatrix(roi_node.GetObjectToNodeMatrix()).T
+    moved = np.array([[*between.TransformPoint(point), 1.0] for point in own[:, :3]])
+    matrix = vtk.vtkMatrix4x4()
+    input_node.GetRASToIJKMatrix(matrix)
+    ijk = (slicer.util.arrayFromVTKMatrix(matrix) @ moved.T)[:3]
+    return ijk.round(6)  # rounding errors of transforms add no voxels
 
 
 def with_region(settings, region, input_node):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 
 import slicer
+import vtk
 from slicer.i18n import tr as _
 
 from . import scene
@@ -32,30 +33,45 @@ def volumes_of(sequence) -> list:
     return found
 
 
-def check_place(sequence, nodes: dict) -> None:
-    """A transform moves the volume that plays a sequence, but not its time points, which lie in a scene of their own.
+def moved_player(sequence, nodes: dict):
+    """The volume that plays a sequence under a transform, where that matters; None where it does not.
+
+    The transform moves the player, but not the time points, which lie in a scene of their own. Region, labels and body were
+    placed on the player.
 
     Args:
         nodes: {name: value} as for `MedColorLogic.processSequence`.
 
     Raises:
-        MedColorLib.errors.InputError: a region, labels or a body would lie beside what they were placed on.
+        MedColorLib.errors.InputError: where they lie is not one place: several players, or time points of several grids.
     """
     from MedColorLib.errors import InputError
 
-    if not any(hasattr(nodes.get(name), "IsA") for name in ("roi", "labels", "body")):
-        return
-    for browser in browsers_of(sequence) if sequence.GetScene() else ():
-        player = browser.GetProxyNode(sequence)
-        transform = player.GetParentTransformNode() if player is not None else None
-        if transform is not None:
-            raise InputError(
-                _(
-                    "{name} is played under the transform {transform}, of which its time points know nothing: region, tissue "
-                    "labels and body would lie elsewhere. Take {name} and them out of the transform (module Transforms), or "
-                    "select no region, labels and body."
-                ).format(name=player.GetName(), transform=transform.GetName())
-            )
+    if not any(hasattr(nodes.get(name), "IsA") for name in ("roi", "labels", "body")) or not sequence.GetScene():
+        return None
+    players = [browser.GetProxyNode(sequence) for browser in browsers_of(sequence)]
+    places = {player.GetParentTransformNode(): player for player in players if player is not None}
+    moved = [player for transform, player in places.items() if transform is not None]
+    if not moved:
+        return None
+    grids = {_own_grid(sequence.GetNthDataNode(n)) for n in range(sequence.GetNumberOfDataNodes())}
+    if len(places) > 1 or grids != {_own_grid(moved[0])}:
+        raise InputError(
+            _(
+                "{name} is played under the transform {transform}, but not everywhere, or its time points lie on several grids: "
+                "where region, tissue labels and body belong cannot be told. Take {name} and them out of the transform (module "
+                "Transforms), or select no region, labels and body."
+            ).format(name=moved[0].GetName(), transform=moved[0].GetParentTransformNode().GetName())
+        )
+    return moved[0]
+
+
+def _own_grid(node) -> tuple:
+    """Size and place of a volume, without the transforms it lies under."""
+    matrix = vtk.vtkMatrix4x4()
+    node.GetIJKToRASMatrix(matrix)
+    image = node.GetImageData()
+    return (image.GetDimensions() if image else (), slicer.util.arrayFromVTKMatrix(matrix).tobytes())
 
 
 def sequence_of(volume):
@@ -107,10 +123,12 @@ def publish(sequence, results):
     colored.SetIndexUnit(sequence.GetIndexUnit())
     carrier = slicer.vtkMRMLVectorVolumeNode()
     carrier.SetName(name)
+    matrix = vtk.vtkMatrix4x4()
     try:
         for number, result in enumerate(results):
             slicer.util.updateVolumeFromArray(carrier, result.rgb)
-            carrier.SetIJKToRASMatrix(slicer.util.vtkMatrixFromArray(result.ijk_to_ras))
+            sequence.GetNthDataNode(number).GetIJKToRASMatrix(matrix)
+            carrier.SetIJKToRASMatrix(matrix)
             carrier.SetVoxelVectorType(carrier.VoxelVectorTypeColorRGB)
             colored.SetDataNodeAtValue(carrier, sequence.GetNthIndexValue(number))
         for browser in browsers_of(sequence):

@@ -11,6 +11,7 @@ import pytest
 import slicer
 import vtk
 from host_fixtures import color_node, grey_node, node_ids
+from panel_fixtures import warp
 
 from MedColorLib.errors import InputError
 from MedColorLib.volume import ColorVolume
@@ -340,6 +341,65 @@ def test_region_is_the_box_of_voxels_inside_the_roi(nodes):
         assert hit[-1] < stop
         assert (stop - start) - hit.size <= 2
     assert nodes.region_from_roi(None, grey) is None
+
+
+def turned_by(*degrees, shift=(0, 0, 0)):
+    """A transform node: turned about R, A and S, then moved."""
+    transform = vtk.vtkTransform()
+    transform.Translate(*shift)
+    for turn, angle in zip((transform.RotateX, transform.RotateY, transform.RotateZ), degrees):
+        turn(angle)
+    return linear_transform(slicer.util.arrayFromVTKMatrix(transform.GetMatrix()))
+
+
+SAME_TURN = (25, -40, 10)
+
+
+@pytest.mark.parametrize("of_volume", [None, SAME_TURN, (5, 0, 80)])
+@pytest.mark.parametrize("of_roi", [None, SAME_TURN])
+@pytest.mark.parametrize("own_turn", [0, 30])
+def test_region_of_turned_rois_and_volumes(nodes, of_volume, of_roi, own_turn):
+    """By MRML's own matrix of the ROI, and many points inside it."""
+    grey = grey_node(shape=(20, 30, 40), matrix=np.diag([-1.0, 1.0, 2.0, 1.0]))
+    roi = roi_node((-20, 15, 20), (6, 8, 10))
+    plain = nodes.region_from_roi(roi, grey)
+    if own_turn:
+        turn = vtk.vtkTransform()
+        turn.Translate(-20, 15, 20)
+        turn.RotateZ(own_turn)
+        roi.SetAndObserveObjectToNodeMatrix(turn.GetMatrix())
+    for node, angles in ((grey, of_volume), (roi, of_roi)):
+        if angles:
+            node.SetAndObserveTransformNodeID(turned_by(*angles).GetID())
+    if of_volume != of_roi:  # back onto the volume
+        middle = nodes.ijk_to_world(grey) @ [20, 15, 10, 1]
+        roi.SetCenterWorld(*middle[:3])
+    to_world = slicer.util.arrayFromVTKMatrix(roi.GetObjectToWorldMatrix())
+    points = np.random.default_rng(0).uniform(-0.5, 0.5, (20000, 3)) * roi.GetSize()
+    world = to_world @ np.c_[points, np.ones(len(points))].T
+    ijk = (np.linalg.inv(nodes.ijk_to_world(grey)) @ world)[:3]
+    region = nodes.region_from_roi(roi, grey)
+    for (start, stop), values, count in zip(region, ijk[::-1], (20, 30, 40)):
+        assert start <= max(np.floor(values.min() + 0.5), 0)
+        assert stop >= min(np.ceil(values.max() + 0.5), count)
+        assert stop - start <= np.ptp(values) + 2.5, "and no more than that"
+    if of_volume == of_roi and not own_turn:
+        assert region == plain
+
+
+def test_region_of_a_bent_volume_is_where_the_views_show_it(nodes):
+    grey, roi = grey_node(shape=(20, 30, 40)), roi_node((20, 15, 10), (6, 8, 10))
+    (k0, k1), (j0, j1), (i0, i1) = nodes.region_from_roi(roi, grey)
+    node = warp(slicer.mrmlScene, 3.0)  # world to volume: 3 mm along every axis
+    grey.SetAndObserveTransformNodeID(node.GetID())
+    assert nodes.region_from_roi(roi, grey) == ((k0 + 3, k1 + 3), (j0 + 3, j1 + 3), (i0 + 3, i1 + 3))
+    roi.SetAndObserveTransformNodeID(node.GetID())
+    assert nodes.region_from_roi(roi, grey) == ((k0, k1), (j0, j1), (i0, i1))
+
+
+def test_region_without_size(nodes):
+    with pytest.raises(InputError, match="R has no size"):
+        nodes.region_from_roi(roi_node((4, 4, 3), (5, 0, 5)), grey_node())
 
 
 def test_region_outside_the_volume(nodes):

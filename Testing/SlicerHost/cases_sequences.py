@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import slicer
+import vtk
 from host_fixtures import grey_node, label_node, node_ids
 from panel_fixtures import turned
 
@@ -78,22 +79,58 @@ def roi_node():
 NODES = {"roi": roi_node, "labels": label_node, "body": label_node}
 
 
-@pytest.mark.parametrize("kind", NODES)
-def test_nodes_of_the_scene_are_refused_where_the_player_lies_under_a_transform(logic, library, kind):
+def own_matrix(node):
+    matrix = vtk.vtkMatrix4x4()
+    node.GetIJKToRASMatrix(matrix)
+    return slicer.util.arrayFromVTKMatrix(matrix)
+
+
+@pytest.fixture
+def played(logic):
+    """(sequence, browser, the volume that plays it) under a transform."""
     sequence, browser = sequence_of()
     players = slicer.vtkSlicerSequencesLogic()
     players.SetMRMLScene(slicer.mrmlScene)
     players.UpdateProxyNodesFromSequences(browser)
+    player = browser.GetProxyNode(sequence)
+    player.SetAndObserveTransformNodeID(turned(slicer.mrmlScene, 90).GetID())
+    yield sequence, browser, player
+    players.SetMRMLScene(None)
+
+
+@pytest.mark.parametrize("kind", NODES)
+def test_nodes_of_the_scene_lie_where_the_player_is_shown(logic, library, played, kind):
+    from MedColorSlicer import scene
+
+    sequence, _browser, player = played
+    node = NODES[kind]()
+    node.SetAndObserveTransformNodeID(player.GetTransformNodeID())  # placed on what is seen
+    colored = logic.processSequence(sequence, [REFERENCE], nodes={kind: node})
+    assert [call[0].name for call in library.calls] == ["phase 0", "phase 1", "phase 2"]
+    for volume, _references, settings in library.calls:
+        np.testing.assert_allclose(volume.ijk_to_ras, scene.ijk_to_world(player))
+        assert settings.region == (((1, 6), (2, 7), (2, 7)) if kind == "roi" else None)
+        if kind == "body":
+            np.testing.assert_allclose(settings.body.labels.ijk_to_ras, volume.ijk_to_ras)
+    if kind == "labels":
+        np.testing.assert_allclose(library.guards[0].labels.ijk_to_ras, scene.ijk_to_world(player))
+    for n in range(3):  # the transform is the player's, not a part of its time points
+        np.testing.assert_array_equal(own_matrix(colored.GetNthDataNode(n)), own_matrix(sequence.GetNthDataNode(n)))
+
+
+def test_nodes_of_the_scene_are_refused_where_players_lie_at_two_places(logic, library, played):
+    sequence, _browser, _player = played
+    other = slicer.mrmlScene.AddNewNodeByClass("vtkMRMLSequenceBrowserNode", "second")
+    other.SetAndObserveMasterSequenceNodeID(sequence.GetID())
+    players = slicer.vtkSlicerSequencesLogic()
+    players.SetMRMLScene(slicer.mrmlScene)
+    players.UpdateProxyNodesFromSequences(other)
     try:
-        player, nodes = browser.GetProxyNode(sequence), {kind: NODES[kind]()}
-        player.SetAndObserveTransformNodeID(turned(slicer.mrmlScene, 30).GetID())
-        with pytest.raises(InputError, match=r"under the transform turn, .* out of the transform"):
-            logic.processSequence(sequence, [REFERENCE], nodes=nodes)
+        with pytest.raises(InputError, match=r"under the transform turn, but not everywhere.* out of the transform"):
+            logic.processSequence(sequence, [REFERENCE], nodes={"roi": roi_node()})
         assert not library.calls
         logic.processSequence(sequence, [REFERENCE], nodes={"roi": None, "labels": None, "body": "all"})
-        player.SetAndObserveTransformNodeID(None)
-        logic.processSequence(sequence, [REFERENCE], nodes=nodes)
-        assert len(library.calls) == 6
+        assert len(library.calls) == 3
     finally:
         players.SetMRMLScene(None)
 

@@ -83,14 +83,14 @@ def ui_settled():
         qt.QApplication.processEvents()
 
 
-def warp(scene):
-    """A transform without a matrix."""
+def warp(scene, millimetres=1.0):
+    """A transform without a matrix: from the world to what lies under it, so far along every axis."""
     node = scene.AddNewNodeByClass("vtkMRMLGridTransformNode", "warp")
     grid = vtk.vtkImageData()
     grid.SetDimensions(4, 4, 4)
     grid.SetSpacing(16, 16, 16)
     grid.AllocateScalars(vtk.VTK_DOUBLE, 3)
-    grid.GetPointData().GetScalars().Fill(1.0)
+    grid.GetPointData().GetScalars().Fill(millimetres)
     transform = slicer.vtkOrientedGridTransform()
     transform.SetDisplacementGridData(grid)
     node.SetAndObserveTransformFromParent(transform)
