@@ -22,7 +22,6 @@ _PROBE = Path(__file__).with_name("probe.py")
 _PROBE_SECONDS = 120  # a software driver compiles its shaders first, on a machine that may be busy
 MAX_PICTURE_SIDE = 8192
 _MAX_SAMPLES_PER_RAY = 1500
-_CUBES = 1.6  # voxels whose sides differ by less count as cubes
 
 
 @dataclass(frozen=True)
@@ -192,7 +191,7 @@ class Stage:
         matrix = vtkMatrix4x4()
         matrix.DeepCopy(own.ravel())
         volume.SetUserMatrix(matrix)
-        _change_shader(volume.GetShaderProperty(), spacing_mm.max() < _CUBES * spacing_mm.min())
+        _change_shader(volume.GetShaderProperty())
         return volume
 
     def draw(self, camera: Camera) -> np.ndarray:
@@ -248,14 +247,11 @@ class Stage:
         self._renderer.ResetCameraClippingRange()
 
 
-def _change_shader(shader: object, cubes: bool) -> None:
-    """Give VTK's ray caster the texts of `shaders`; `cubes`: voxels are about as long as wide."""
-    if cubes:
-        normals, (place, function) = shaders.CUBE_NORMALS, shaders.CUBE_NORMALS_NEED
-    else:
-        normals, (place, function) = shaders.ALPHA_NORMALS, shaders.SMOOTH_NORMALS_NEED
+def _change_shader(shader: object) -> None:
+    """Give VTK's ray caster the texts of `shaders`."""
+    place, function = shaders.CUBE_NORMALS_NEED
     shader.AddFragmentShaderReplacement(place, True, function, True)
-    for text, instead in (normals, shaders.SKIP_AIR, *shaders.SHADOWS):
+    for text, instead in (shaders.CUBE_NORMALS, shaders.SKIP_AIR, *shaders.SHADOWS):
         shader.AddFragmentShaderReplacement(text, False, instead, True)
 
 

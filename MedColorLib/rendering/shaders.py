@@ -13,19 +13,22 @@ Replacement = tuple[str, str]
 # alpha, and where colour goes on outside tissue (`surface`), red has no edge. Later versions have component = 3 here.
 NORMAL = "computeGradient(g_dataPos, component, in_volume[0], 0)"
 
-# Where voxels are about cubes, the eight corners of a cube around a sample: smoother, and no slower.
+# The eight corners of a cube around a sample: smoother, and no slower. Where voxels are no cubes it is as long, in millimetres,
+# as the thickest side asks for, but at most 2.5 times a voxel: else the steps from slice to slice would show.
 CUBE_NORMALS: Replacement = (NORMAL, "mcSlope(g_dataPos)")
 CUBE_NORMALS_NEED: Replacement = (  # to be replaced before VTK puts its functions there
     "//VTK::ComputeLighting::Dec",
     """vec4 mcSlope(vec3 place)
 {
+  vec3 spacing = in_cellSpacing[0];
+  vec3 voxels = min(vec3(max(max(spacing.x, spacing.y), spacing.z)) / spacing, vec3(2.5));
   vec3 slope = vec3(0.0);
   for (int n = 0; n < 8; ++n)
     {
     vec3 corner = vec3(n & 1, (n >> 1) & 1, n >> 2) * 2.0 - 1.0;
-    slope += corner * texture3D(in_volume[0], place + 0.8 * corner * in_cellStep[0]).a;
+    slope += corner * texture3D(in_volume[0], place + 0.8 * corner * voxels * in_cellStep[0]).a;
     }
-  return vec4(slope / in_cellSpacing[0], -1.0);
+  return vec4(slope / (voxels * spacing), -1.0);
 }
 //VTK::ComputeLighting::Dec""",
 )
@@ -67,7 +70,7 @@ SHADOWS: tuple[Replacement, ...] = (
     ),
 )
 
-# Elsewhere, and in Slicer, where clipping planes cut and any curve of gradient opacity may be set, VTK's own function is asked
+# In Slicer, where clipping planes cut and any curve of gradient opacity may be set, VTK's own function is asked
 # at four places around a sample, which lie like the corners of a tetrahedron. Where it returns unit vectors, w is their
 # length. The gradient of a single place follows the steps of 8-bit voxels and the corner where the ramp at a skin begins.
 _AROUND = " + ".join(
@@ -75,7 +78,6 @@ _AROUND = " + ".join(
     for x, y, z in ((1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1))
 )
 SMOOTH_NORMALS: Replacement = (NORMAL, f"({_AROUND})")
-ALPHA_NORMALS: Replacement = (NORMAL, SMOOTH_NORMALS[1].replace("component", "3"))
 SMOOTH_NORMALS_NEED: Replacement = (
     "//VTK::ComputeLighting::Dec",
     """vec4 mcWeighed(vec4 g)
