@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -80,9 +81,21 @@ def grey_color_volume(
     """
     chosen = choose_window(volume.array, body, given=window, proposed=volume.window)
     rgb = np.empty((*volume.array.shape, 3), dtype=np.uint8)
+    shown = by_table(lambda values: np.rint(apply_window(values, chosen) * 255.0).astype(np.uint8), volume.array.dtype)
     for plane, values in zip(rgb, volume.array):
-        plane[:] = np.rint(apply_window(values, chosen) * 255.0).astype(np.uint8)[..., None]
+        plane[:] = shown(values)[..., None]
     return ColorVolume(rgb, volume.ijk_to_ras, name=f"{volume.name} grey")
+
+
+def by_table(function: Callable[[np.ndarray], np.ndarray], dtype: np.dtype) -> Callable[[np.ndarray], np.ndarray]:
+    """A function of single scalars of a type, looked up where the type has few of them: the same values, sooner."""
+    if dtype.kind not in "iu" or dtype.itemsize > 2:
+        return function
+    native = dtype.newbyteorder("=")
+    every = (
+        np.arange(256**dtype.itemsize).astype(f"u{dtype.itemsize}").view(native)
+    )  # negative ones at the end, as indices
+    return function(every).take
 
 
 def not_black(rgb: np.ndarray) -> np.ndarray:

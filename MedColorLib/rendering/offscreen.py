@@ -251,7 +251,7 @@ def _change_shader(shader: object) -> None:
     """Give VTK's ray caster the texts of `shaders`."""
     place, function = shaders.CUBE_NORMALS_NEED
     shader.AddFragmentShaderReplacement(place, True, function, True)
-    for text, instead in (shaders.CUBE_NORMALS, shaders.SKIP_AIR, *shaders.SHADOWS):
+    for text, instead in (shaders.CUBE_NORMALS, shaders.SKIP_AIR, *shaders.END_SOONER, *shaders.SHADOWS):
         shader.AddFragmentShaderReplacement(text, False, instead, True)
 
 

@@ -15,6 +15,7 @@ from ..scan.intensity import apply_window, choose_window
 from ..volume import ColorVolume, Volume
 from .grid import (
     VOXEL_BUDGET,
+    by_table,
     cut_grid,
     grey_color_volume,
     not_black,
@@ -191,7 +192,8 @@ def _shown(
     if isinstance(grey, Volume):
         body = np.stack([not_black(plane) for plane in color.rgb[box]])  # where its window is taken from, nothing else
         chosen = choose_window(grey.array[box], body, given=window, proposed=grey.window)
-        box = _joined(box, _visible_box(apply_window(plane, chosen) > _VISIBLE / 255 for plane in grey.array))
+        visible = by_table(lambda values: apply_window(values, chosen) > _VISIBLE / 255, grey.array.dtype)
+        box = _joined(box, _visible_box(visible(plane) for plane in grey.array))
         scalars = Volume(grey.array[box], _matrix(color, box), name=grey.name)
         left = grey_color_volume(scalars, (chosen.low, chosen.high))
     else:

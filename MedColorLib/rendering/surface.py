@@ -13,6 +13,7 @@ from .presets import ALPHA_AIR, LUMINANCE_WEIGHTS
 MARGIN = 3
 _RAMP = 3  # voxels from air on in which tissue may be mixed with air
 _ROUNDS = 3  # a layer's voxels that are so far from the next one take its colour
+_AT_A_TIME = 1 << 14  # voxels
 _SAME_HUE = 0.9  # cosine between colours (R, G, B): what is mixed with air gets darker and stays of its hue
 
 
@@ -104,8 +105,10 @@ def _soften_alpha(rgba: np.ndarray, targets: np.ndarray) -> None:
     """Replace alpha of the voxels `targets` (flat indices) by the binomial mean of their surroundings, in place."""
     alpha = rgba.reshape(-1, 4)[:, 3]
     total = np.zeros(targets.size, dtype=np.float32)
-    for offset, weight in _neighbourhood(rgba.shape[:3]):
-        total += weight * alpha[targets + offset]
+    for n in range(0, targets.size, _AT_A_TIME):
+        part = slice(n, n + _AT_A_TIME)
+        for offset, weight in _neighbourhood(rgba.shape[:3]):
+            total[part] += weight * alpha[targets[part] + offset]
     alpha[targets] = np.rint(total).astype(np.uint8)
 
 
@@ -121,13 +124,19 @@ def _neighbourhood(shape: tuple[int, int, int]) -> list[tuple[int, float]]:
 def _take_colour(
     rgba: np.ndarray, targets: np.ndarray, known: np.ndarray, only_if_brighter: bool = False
 ) -> np.ndarray:
-    """Give the voxels `targets` (flat indices, not on the array's border) the mean colour of `known` neighbours.
+    """Give the voxels `targets` (flat indices, not on the array's border, none of them known) the mean of `known` neighbours.
 
     Returns which of them have such neighbours, (n,) bool.
 
     Bright neighbours weigh far more: the dark ones hold more air. Works on the list of targets only, since surfaces are a
-    few percent of a volume.
+    few percent of a volume, and on some at a time, whose sums stay in the processor's cache.
     """
+    parts = range(0, targets.size, _AT_A_TIME)
+    found = [_take_colour_of(rgba, targets[n : n + _AT_A_TIME], known, only_if_brighter) for n in parts]
+    return np.concatenate(found) if found else np.zeros(0, bool)
+
+
+def _take_colour_of(rgba: np.ndarray, targets: np.ndarray, known: np.ndarray, only_if_brighter: bool) -> np.ndarray:
     colour, voxels = rgba.reshape(-1, 4), rgba.view(np.uint32).reshape(-1)  # a voxel is one number: read at once
     flat_known = known.reshape(-1)
     total = np.zeros((targets.size, 4), dtype=np.float32)

@@ -321,3 +321,13 @@ def test_a_ramp_of_three_voxels_shows_no_terraces(gl):
     y, x = np.mgrid[:120, :120] - 59.5
     inside = np.hypot(x, y) < 42
     assert np.abs(picture[inside] - ORANGE).max() <= 16
+
+
+@pytest.mark.parametrize("dtype", ["u1", "i1", "<i2", ">i2", "<u2", "<i4", "<f4"])
+def test_values_by_table_are_those_of_the_function(dtype, rng):
+    kind = np.dtype(dtype)
+    ends = (-1e4, 1e4) if kind.kind == "f" or kind.itemsize > 2 else (np.iinfo(kind).min, np.iinfo(kind).max)
+    values = rng.uniform(*ends, (40, 30)).astype(kind)
+    values[0, :2] = ends
+    shown = grid.by_table(lambda some: np.rint(some.astype(np.float64) / 7).astype(np.int32), kind)
+    np.testing.assert_array_equal(shown(values), np.rint(values.astype(np.float64) / 7))
