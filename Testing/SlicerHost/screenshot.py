@@ -20,7 +20,8 @@ import numpy as np
 import slicer
 import slicer_like
 
-BACKGROUND = (0.92, 0.93, 0.95)
+BACKGROUND = (0.0, 0.0, 0.0)
+OPACITY = 0.8  # of "Bone to skin": where a face has skin
 
 
 def load(files):
@@ -66,6 +67,7 @@ def scene(path, *arguments):
         grey, reference, preset=preset, progress=lambda f, text: print(f"{f:.2f} {text}", flush=True)
     )
     logic.showComparison(grey, colored)
+    logic.setOpacity(colored, OPACITY)
     bounds = tissue_bounds(colored)
     pictures = []
     for view in views:
