@@ -148,7 +148,6 @@ def taken_over(engine: Engine, prepared: Prepared, run: Run, each: Each) -> Engi
     other.prepared, other.run, other._each, other.unmatched = prepared, run, each, {}
     nearest = {k: int(known[np.abs(known - k).argmin()]) for k in prepared.plan.slices}
     other.choice = {k: engine.choice[near] for k, near in nearest.items()}
-    other.neighbours = {k: engine.neighbours[near] for k, near in nearest.items() if near in engine.neighbours}
     return other
 
 
