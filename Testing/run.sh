@@ -60,5 +60,8 @@ install --editable '.[test]'
 touch "$mark"
 export QT_QPA_PLATFORM=offscreen
 say "Lint, then all tests, the slow ones, too; the fast ones alone: sh Testing/run.sh test -m 'not slow'"
+say "They run on as many processes as there are cores, at most four; all in one: sh Testing/run.sh test -n 0"
 "$python" -m ruff check MedColor MedColorLib Testing
-exec "$python" -m pytest -m '' "$@"
+# Else the processes compile the same files at the same time, where tests copy the folders.
+"$python" -m compileall -q MedColor MedColorLib
+exec "$python" -m pytest -m '' -n auto --dist loadfile "$@"
