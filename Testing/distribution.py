@@ -20,21 +20,22 @@ LONG = (
     "Testing/Library/bench/test_bench_results.py",
     ONE_BY_ONE,
     "Testing/Library/bench/test_bench_quality.py",
+    "Testing/Library/cohort/test_batch.py",
+    "Testing/Library/references/test_library.py",
     "Testing/Library/matching/test_assignment.py",
     "Testing/Library/references/test_loading.py",
     "Testing/Library/test_python_package.py",
     "Testing/Library/bench/test_bench.py",
     "Testing/Library/cli/test_stopping.py",
-    "Testing/Library/cohort/test_batch.py",
+    "Testing/Library/test_pipeline.py",
     "Testing/Library/features/test_contrast_net.py",
-    "Testing/Library/matching/test_blending.py",
     "Testing/Library/run/test_resume_command.py",
     "Testing/Library/matching/test_tissue_guard.py",
     "Testing/Library/run/test_plan.py",
     "Testing/Library/bench/test_bench_outline.py",
     "Testing/Library/bench/test_bench_deconvolution.py",
 )
-MOST_PROCESSES = 4  # a process with PyTorch and VTK and the children it starts take up to 2 GB
+MOST_PROCESSES = 4  # a process with PyTorch and VTK and the children it starts take up to 3 GB
 
 
 def file_of(unit: str) -> str:
