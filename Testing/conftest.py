@@ -17,6 +17,22 @@ import pytest
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 
 
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers() -> int:
+    """Processes of `-n auto`."""
+    import distribution
+
+    return distribution.processes()
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    """Ours for `--dist loadfile`; None leaves it to xdist."""
+    import distribution
+
+    return distribution.LongestFirst(config, log) if config.getoption("dist") == "loadfile" else None
+
+
 @dataclass(frozen=True)
 class Phantom:
     """The phantom of `MedColorLib.phantom`, every fourth slice and every second pixel: (12, 64, 56).
@@ -70,10 +86,12 @@ def rng() -> np.random.Generator:
 
 @pytest.fixture(autouse=True)
 def two_threads() -> None:
-    """The same number of threads everywhere, so that sums have the same order."""
-    torch = sys.modules.get("torch")
+    """The same number of threads everywhere, so that sums have the same order; two, so that there is a second one."""
+    torch, cv2 = sys.modules.get("torch"), sys.modules.get("cv2")
     if torch is not None and torch.get_num_threads() != 2:
         torch.set_num_threads(2)
+    if cv2 is not None and cv2.getNumThreads() != 2:
+        cv2.setNumThreads(2)
 
 
 @pytest.fixture(autouse=True, scope="session")

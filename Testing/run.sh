@@ -1,7 +1,7 @@
 #!/bin/sh
 # Set everything up and run the demo or the tests, on a fresh Debian 12 (or any machine with Python 3.10 or later).
 #   sh Testing/run.sh demo                   colour and render the built-in sample: results in ./demo
-#   sh Testing/run.sh test                   all tests, fast and slow
+#   sh Testing/run.sh test                   all tests, fast and slow, on as many processes as there are cores, at most four
 #   sh Testing/run.sh test -m 'not slow'     the fast ones; what follows `test` is pytest's
 set -eu
 cd "$(dirname "$0")/.."
@@ -60,5 +60,8 @@ install --editable '.[test]'
 touch "$mark"
 export QT_QPA_PLATFORM=offscreen
 say "Lint, then all tests, the slow ones, too; the fast ones alone: sh Testing/run.sh test -m 'not slow'"
+say "On as many processes as there are cores, at most four: some ten minutes on two cores; in one: sh Testing/run.sh test -n 0"
 "$python" -m ruff check MedColor MedColorLib Testing
-exec "$python" -m pytest -m '' "$@"
+# Else the processes compile the same files at the same time, where tests copy the folders.
+"$python" -m compileall -q MedColor MedColorLib
+exec "$python" -m pytest -m '' -n auto --dist loadfile "$@"

@@ -194,7 +194,7 @@ _LIMITED = """
 from MedColorLib.run.prepare import prepare
 settings = Settings(preset="draft", features="embedded", device="cpu", slices=(100, 104))
 colorize(sample("ct")[0], [section()], replace(settings, slices=(20, 24)))  # everything is loaded before the limit
-voxels = 512 * 512 * 600
+voxels = 512 * 512 * 400
 def allow(more):
     resource.setrlimit(resource.RLIMIT_DATA, (status("VmData") + more, resource.RLIM_INFINITY))
 allow(2 * voxels)
@@ -261,14 +261,13 @@ def in_child(code: str, path: Path) -> dict:
 class TestProcess:
     @pytest.mark.parametrize("stack_axis", [0, 2], ids=["transverse", "sagittal"])
     def test_colors_with_less_memory_than_a_copy_of_the_input(self, stack_axis, tmp_path):
-        """512 x 512 x 600 of int16: 300 MiB as it is, 600 MiB as float32; 300 MiB are allowed, and then the result."""
-        cylinder(tmp_path / "a.nrrd", 600, 512, stack_axis)
+        """512 x 512 x 400 of int16: 200 MiB as it is, 400 MiB as float32; 200 MiB are allowed, and then the result."""
+        cylinder(tmp_path / "a.nrrd", 400, 512, stack_axis)
         assert in_child(_LIMITED, tmp_path / "a.nrrd")["colored"] > 4 * 100_000
 
     def test_peak_grows_by_the_result_and_the_outline_alone(self, tmp_path):
         over = {}
-        for count in (50, 200, 800):
+        for count in (200, 800):
             cylinder(tmp_path / "a.nrrd", count, 64)
             over[count] = in_child(_GROWTH, tmp_path / "a.nrrd")["over"]
-        print(over)
         assert over[800] - over[200] < 600 * 3 * 64 * 64 + 8 * 2**20  # outline 1 byte a pixel, 3 while it is found

@@ -20,7 +20,7 @@ ORIENTATIONS = {
 
 
 @pytest.fixture
-def views(ready):
+def views(ready, small_raster):
     """{name: (slice node, composite)} of the three slice views, through the middle of a small phantom that is chosen."""
     from MedColorLib.phantom import sample
 

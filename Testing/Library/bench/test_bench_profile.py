@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +14,6 @@ from MedColorLib.bench import (
     run,
     schema,
     slabs,
-    suite_pipeline,
     suite_profile,
     suite_quality,
     suite_scaling,
@@ -34,7 +31,7 @@ from MedColorLib.device import fast_dtype
 from MedColorLib.errors import InputError, MedColorError, SettingsError
 from MedColorLib.features import contrast_net
 from MedColorLib.matching.fields import exact, patchmatch, windowed
-from MedColorLib.parameters import PRESETS, Settings
+from MedColorLib.parameters import Settings
 
 
 class TestProfile:
@@ -260,25 +257,6 @@ class TestRun:
         assert "scaling" not in run._chosen(None, True, False)
         assert run._chosen(["stability", "scaling"], True, False) == ("scaling", "stability")
         assert run._chosen(None, False, False) == tuple(run.SUITES)
-
-    @pytest.mark.slow
-    def test_new_suites_write_a_page_that_fits(self, tmp_path, monkeypatch):
-        for name, preset in PRESETS.items():
-            monkeypatch.setitem(PRESETS, name, replace(preset, grid_px=64))
-        monkeypatch.setattr(run, "_DATA", tmp_path / "nothing")
-        monkeypatch.setattr(suite_pipeline, "has_network", lambda: False)
-        wanted = ("quality", "profile", "sidebyside", "scaling")
-        written = run.run_bench(tmp_path / "out", quick=True, suites=wanted)
-        data = json.loads((tmp_path / "out" / "bench.json").read_text())
-        schema.check_results(data)
-        assert tuple(data["suites"]) == wanted
-        assert {path.name for path in written} == {
-            "bench.html", "bench.json", "quality.png", "profile.png", "scaling.png",
-        }  # fmt: skip
-        page = (tmp_path / "out" / "bench.html").read_text()
-        assert page.count("data:image/png") == 3
-        improvements = data["suites"]["quality"]["tables"]["improvements"]
-        assert len(improvements["rows"]) == 3 + 9 + 3 + 2
 
 
 def test_targets_of_the_new_suites():

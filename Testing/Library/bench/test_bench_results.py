@@ -38,6 +38,7 @@ def results(tmp_path_factory):
 class TestSchema:
     def test_written_results_fit(self, results):
         schema.check_results(results)
+        assert tuple(results["suites"]) == ("stability",)
 
     def test_text_is_the_same_data_a_row_a_line(self, results):
         text = schema.to_text(results)
@@ -101,24 +102,52 @@ class TestRun:
         with pytest.raises(MissingPackageError, match=re.escape("medcolor[bench]")):
             run_bench(tmp_path, stability=True)
 
-    @pytest.mark.slow
-    def test_quick_run_on_the_phantom(self, tmp_path, monkeypatch):
-        from MedColorLib.bench import run
-        from MedColorLib.parameters import PRESETS
 
-        for name, preset in PRESETS.items():  # not `small_raster`: it would last for the rest of this file
-            monkeypatch.setitem(PRESETS, name, replace(preset, grid_px=64))
-        monkeypatch.setattr(run, "_DATA", tmp_path / "nothing")
-        monkeypatch.setattr(suite_pipeline, "has_network", lambda: False)
-        written = run.run_bench(tmp_path / "out", quick=True)
-        data = json.loads((tmp_path / "out" / "bench.json").read_text())
+@pytest.fixture(scope="class")
+def everything(tmp_path_factory):
+    """(folder, files written) of a quick run of all suites on the phantom, without VGG-19, on a raster of 64 pixels.
+
+    Of the stability cases those of colour: `TestStability` asks every one of them.
+    """
+    from MedColorLib.bench import run, stability_color
+    from MedColorLib.parameters import PRESETS
+
+    folder = tmp_path_factory.mktemp("everything")
+    with pytest.MonkeyPatch.context() as patch:
+        for name, preset in PRESETS.items():
+            patch.setitem(PRESETS, name, replace(preset, grid_px=64))
+        patch.setattr(run, "_DATA", folder / "nothing")
+        patch.setattr(suite_pipeline, "has_network", lambda: False)
+        patch.setattr(stability, "all_cases", stability_color.cases)
+        written = run.run_bench(folder / "out", quick=True, suites=tuple(run.SUITES))
+    return folder / "out", written
+
+
+@pytest.mark.slow
+class TestEverything:
+    def test_every_suite_is_written_and_fits(self, everything):
+        from MedColorLib.bench import run
+
+        folder, written = everything
+        data = json.loads((folder / "bench.json").read_text())
         schema.check_results(data)
-        assert {p.suffix for p in written} == {".html", ".json", ".png"}
-        assert set(data["suites"]) >= {"pipeline", "smoothing", "correspondence", "stability"}
+        assert tuple(data["suites"]) == tuple(run.SUITES)
+        assert {path.name for path in written} == {path.name for path in folder.iterdir()}
         assert [f[0] for f in data["suites"]["pipeline"]["failures"]] == [
             "features vgg19",
             "CT against cryosection by region",
         ]
+        improvements = data["suites"]["quality"]["tables"]["improvements"]
+        assert len(improvements["rows"]) == 3 + 9 + 3 + 2
+
+    def test_the_page_shows_every_plot(self, everything):
+        folder, written = everything
+        assert {path.suffix for path in written} == {".html", ".json", ".png"}
+        plots = {path.stem for path in written if path.suffix == ".png"}
+        assert plots == {
+            "error_against_time", "smoothing", "rounding", "correspondence", "quality", "profile", "scaling",
+        }  # fmt: skip
+        assert (folder / "bench.html").read_text().count("data:image/png") == len(plots)
 
 
 class TestCommittedResults:

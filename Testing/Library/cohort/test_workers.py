@@ -34,11 +34,9 @@ def tasks_of(folder: Path, *what: str) -> list[dict]:
 
 def answer(server: socket.socket, says: bytes | str | None) -> None:
     """Say the same to everybody (b"": hang up; "echo": what was said), until the server is closed."""
-    held = []
-    with contextlib.suppress(OSError):
+    with contextlib.ExitStack() as held, contextlib.suppress(OSError):
         while True:
-            peer = server.accept()[0]
-            held.append(peer)
+            peer = held.enter_context(server.accept()[0])
             if says == b"":
                 peer.close()
             elif says:

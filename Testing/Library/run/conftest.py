@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from resume_samples import half
 
 from MedColorLib import Volume
 from MedColorLib.phantom import section
@@ -18,4 +19,4 @@ def volume(ct) -> Volume:
 
 @pytest.fixture
 def references() -> list[np.ndarray]:
-    return [section(-0.45), section(0.3)]
+    return [half(section(-0.45)), half(section(0.3))]

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from resume_samples import broken_off, files_of, settings
+from resume_samples import broken_off, files_of, half, settings
 from safetensors.torch import save_file
 
 import MedColorLib
@@ -80,7 +80,10 @@ class TestSameBytes:
     @pytest.mark.parametrize("smoother", ["regression", "guided"])
     def test_slices_near_a_change_of_reference(self, volume, matched, smoother, tmp_path):
         """They are matched once, and colour passes over the place where the run was broken off."""
-        series, chosen = [section(level) for level in (-0.8, -0.45, 0.1, 0.6)], settings(batch=1, smoother=smoother)
+        series, chosen = (
+            [half(section(level)) for level in (-0.8, -0.45, 0.1, 0.6)],
+            settings(batch=1, smoother=smoother),
+        )
         plain = colorize(volume, series, chosen)
         assert sum(matched) == 8 and len(set(plain.report["reference_of_slice"].values())) > 2
         steps = []
