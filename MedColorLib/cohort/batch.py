@@ -278,7 +278,8 @@ def color_file(
     _check_worker(task)
     output, resume = Path(task.output), Resume(Path(task.store), task.store_bytes)
     expected = {**task.expected, "input": input_sha256(task.source)}
-    if is_finished(task, expected):
+    if finished := finished_report(task, expected):
+        forget_run(finished, resume)  # a run may have been broken off between its report and this
         return Outcome(task.name, task.result, "skipped")
     volume = read_volume(task.source, below=False)  # the folders in it are volumes of their own
     settings = Settings.from_dict(task.settings)
@@ -296,13 +297,13 @@ def color_file(
     return Outcome(task.name, task.result, "done", seconds, resumed_slices=resumed, notes=notes, replaced=replaced)
 
 
-def is_finished(task: Task, expected: dict) -> bool:
-    """Whether the result is there, whole, and made from what `expected` says."""
+def finished_report(task: Task, expected: dict) -> dict | None:
+    """The report of the result if that is there, whole, and made from what `expected` says."""
     try:
-        said = json.loads(Path(task.report).read_text(encoding="utf-8"))["batch"]
-        return said == {**expected, "output": file_sha256(task.output)}
+        report = json.loads(Path(task.report).read_text(encoding="utf-8"))
+        return report if report["batch"] == {**expected, "output": file_sha256(task.output)} else None
     except (OSError, ValueError, KeyError, TypeError, InputError):
-        return False
+        return None
 
 
 def _is_volume(file: Path) -> bool:

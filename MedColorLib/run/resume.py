@@ -91,9 +91,9 @@ def open_store(prepared: Prepared, resume: bool | str | os.PathLike | Resume) ->
 
 def forget_run(report: dict, resume: bool | str | os.PathLike | Resume) -> None:
     """Delete what was kept of the run with this report, once its result is written; a finished run does not need it."""
-    options = resume_options(resume)
-    if options is not None and report.get("resume_run"):
-        _delete_run(options.root / report["resume_run"])
+    options, key = resume_options(resume), report.get("resume_run")
+    if options is not None and isinstance(key, str) and _KEY.fullmatch(key):
+        _delete_run(options.root / key)
 
 
 def forget_runs(folder: Path) -> None:

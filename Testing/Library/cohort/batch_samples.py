@@ -43,7 +43,8 @@ def assert_whole(results: Path, settings: Settings = DRAFT) -> None:
     """Every good volume has exactly the voxels of a run by itself, and nothing else lies there."""
     names = {path.relative_to(results).as_posix() for path in results.rglob("*") if path.is_file()}
     stems = [name.removesuffix(".nrrd") for name in GOOD]
-    assert names == {"batch.json", *(f"{stem}-colored.{kind}" for stem in stems for kind in ("nrrd", "json"))}
+    whole = {"batch.json", *(f"{stem}-colored.{kind}" for stem in stems for kind in ("nrrd", "json"))}
+    assert names == whole, f"missing {sorted(whole - names)}, more {sorted(names - whole)}"
     for name, stem in zip(GOOD, stems):
         plain = plain_run(Path("in", name), settings)
         np.testing.assert_array_equal(read_color_volume(results / f"{stem}-colored.nrrd").rgb, plain)

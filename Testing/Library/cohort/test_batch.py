@@ -117,6 +117,16 @@ class TestBatch:
         del before["batch.json"]
         assert before.items() <= tree(Path("out")).items()
 
+    def test_broken_off_between_the_report_and_the_end(self, cohort, monkeypatch):
+        """The volume is finished; the next run has nothing to do but to delete its matches."""
+        with monkeypatch.context() as patch:
+            patch.setattr(batch, "forget_run", lambda *_: None)
+            run_batch("in", ["section.png"], "out", DRAFT)
+        assert any(Path("out/.unfinished").rglob("*.safetensors"))
+        monkeypatch.setattr("MedColorLib.pipeline.colorize", None)
+        assert states(run_batch("in", ["section.png"], "out", DRAFT)) == expected_states("skipped")
+        assert_whole(Path("out"))
+
     @pytest.mark.parametrize(
         ("change", "again"),
         [
