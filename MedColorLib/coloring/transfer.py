@@ -192,15 +192,15 @@ def _witnesses(
 def _without_outliers(match: SliceMatch, parameters: TransferParameters) -> np.ndarray:
     """Sums of the witnesses of the scan's grey, by reweighted least squares."""
     colors, guide, weight = _witnesses(match, match.grey, parameters)
-    sums = regression.splat(colors, guide, weight, parameters.own, match.within, EVERY)
+    witnesses = regression.Witnesses(guide, weight > 0, parameters.own, match.within, EVERY)
+    sums = witnesses.sums(colors, weight)
     few, many = _LOOKED_FOR
     known = parameters.doubts_outliers and match.trust is not None
     doubt = 0.0 if not known else np.clip((many - match.trust.trusted_fraction) / (many - few), 0, 1)
     for _ in range(OUTLIER_TURNS if doubt > 0 else 0):
         told = regression.predict(regression.solve(sums, parameters.own), guide, match.within)
         distance = np.square(colors - told).sum(-1) / np.float32(OUTLIER_DISTANCE**2)
-        believed = weight * np.exp(distance * np.float32(-doubt / 2))
-        sums = regression.splat(colors, guide, believed, parameters.own, match.within, EVERY)
+        sums = witnesses.sums(colors, weight * np.exp(distance * np.float32(-doubt / 2)))
     return sums
 
 

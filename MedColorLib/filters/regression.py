@@ -144,29 +144,55 @@ def splat(
     """Weighted sums of colour and, last, of weight, spread linearly over the nearest cells.
 
     Args:
-        source, guide, weight, parameters: as for `fit`.
-        within: (top, bottom, left, right) edges of the picture in a frame from 0 to 1 that the cells fill; what lies
-            outside the frame goes to the cells at its rim.
-        every: the arrays are each n-th row and column of a picture, from the first on, and count n * n times.
+        source, guide, weight, parameters: as for `fit`. within, every: as for `Witnesses`.
 
     Returns:
         (rows, columns, bins, C + 1) float32.
     """
+    return Witnesses(guide, weight > 0, parameters, within, every).sums(source, weight)
+
+
+class Witnesses:
+    """Pixels of a picture and how they spread over the nearest cells, for several sums of the same pixels.
+
+    Args:
+        guide: (H, W) 0..255. there: (H, W) bool: the others count nothing.
+        within: (top, bottom, left, right) edges of the picture in a frame from 0 to 1 that the cells fill; what lies
+            outside the frame goes to the cells at its rim.
+        every: the arrays are each n-th row and column of a picture, from the first on, and count n * n times.
+    """
+
+    def __init__(
+        self,
+        guide: np.ndarray,
+        there: np.ndarray,
+        parameters: RegressionParameters,
+        within: tuple[float, float, float, float] = WHOLE,
+        every: int = 1,
+    ) -> None:
+        self._there, self._every = np.nonzero(there), every
+        self._cells, self._shape = _cells(guide, self._there, parameters, within, every)
+
+    def sums(self, source: np.ndarray, weight: np.ndarray) -> np.ndarray:
+        """As `splat`: source (H, W, C), weight (H, W) -> (rows, columns, bins, C + 1) float32."""
+        trust = weight[self._there].astype(np.float32) * np.float32(self._every**2)
+        values = np.concatenate([source[self._there] * trust[:, None], trust[:, None]], 1)
+        return (self._cells @ values.astype(np.float32)).reshape(*self._shape, -1)
+
+
+def _cells(guide: np.ndarray, keep: tuple, parameters: RegressionParameters, within, every: int):
+    """Sparse (cells, pixels): how much of each pixel goes to which cell; and the cells' (rows, columns, bins)."""
     shape = tuple(every * side for side in guide.shape)
     rows, cols = (max(2, round(side / parameters.cell_px)) + 2 for side in shape)
-    bins, channels = parameters.bins, source.shape[2]
+    bins = parameters.bins
     if rows * cols * bins > MOST_CELLS:
         raise SettingsError(
             f"smoother_options: cell_px {parameters.cell_px:g} with {bins} bins asks for {rows * cols * bins} cells, at "
             f"most {MOST_CELLS} are taken; choose larger cells or fewer bins"
         )
-    keep = np.nonzero(weight > 0)
     y, x = (at[::every][of] for at, of in zip(_positions(shape, (rows, cols), within), keep))
     z = np.clip(guide[keep], 0, 255).astype(np.float64) * ((bins - 1) / 255)
-    trust = weight[keep].astype(np.float32) * np.float32(every**2)
-    values = np.concatenate([source[keep] * trust[:, None], trust[:, None]], 1)
-    cells = _spreading(((y, rows), (x, cols), (z, bins)))
-    return (cells @ values.astype(np.float32)).reshape(rows, cols, bins, channels + 1)
+    return _spreading(((y, rows), (x, cols), (z, bins))), (rows, cols, bins)
 
 
 def _spreading(positions):
