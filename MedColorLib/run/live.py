@@ -19,10 +19,10 @@ from ..progress import Run
 from ..volume import Volume
 from .engine import Engine, ReferenceOnGrid
 from .prepare import prepare
+from .timepoints import KeptMatches
 
 if TYPE_CHECKING:
     from ..coloring.transfer import SliceMatch
-    from ..matching.analogy import Match
     from ..matching.tissue_guard import Guard
     from .resume import RunStore
 
@@ -50,21 +50,6 @@ class Evidence(NamedTuple):
     rest: dict[int | None, np.ndarray]
     kept: float
     trusted: float
-
-
-class Matches:
-    """Matches in memory, as `resume.RunStore` keeps them on disk."""
-
-    def __init__(self) -> None:
-        self._found: dict[tuple, Match] = {}
-
-    def load(self, slices: Sequence[int], reference: int, device: str) -> Match | None:
-        """The match of this batch of slices with a reference, or None."""
-        return self._found.get((*slices, reference))
-
-    def save(self, slices: Sequence[int], reference: int, match: Match) -> None:
-        """Keep a match."""
-        self._found[(*slices, reference)] = match
 
 
 class LiveSlices:
@@ -100,7 +85,7 @@ class LiveSlices:
         self._groups = self._prepared.groups
         self._view = self._prepared.order.view(volume.array)
         self._run.step(0.0, "features")
-        self._engine = Engine(self._prepared, self._run, cast("RunStore", Matches()))
+        self._engine = Engine(self._prepared, self._run, cast("RunStore", KeptMatches()))
         self._plain: Sequence | None = None  # the references as they are, once an exposure was changed
         self._exposure: str | float | None = self._settings.exposure
         self._evidence: dict[int, Evidence] = {}

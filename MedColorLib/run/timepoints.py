@@ -68,7 +68,7 @@ class KeptMatches:
         return None if None in found else joined(found)
 
     def save(self, slices: Sequence[int], reference: int, match: Match) -> None:
-        """Keep a match; that of an earlier time point stays."""
+        """Keep a match; one that is there stays, as that of an earlier time point."""
         for k, part in zip(slices, match.parts()):
             self._found.setdefault((k, reference), part)
 
