@@ -91,7 +91,7 @@ def killer(cohort):
 
     def start(victim) -> list:
         def watch() -> None:
-            while not list(Path("out").glob(".unfinished/*/*.safetensors")):
+            while not list(Path("out").glob(".unfinished/*/[!.]*.safetensors")):
                 time.sleep(0.002)
             pid = victim()
             os.kill(pid, signal.SIGKILL)
@@ -141,7 +141,7 @@ class TestKilledInTheMiddle:
         command = [sys.executable, "-m", "MedColorLib", "batch", "in", *OPTIONS, "-o", "out", "--workers", "2"]
         environment = {**os.environ, "PYTHONPATH": str(ROOT)}
         run = subprocess.Popen(command, env=environment)
-        while not list(Path("out").glob("*-colored.json")):
+        while not list(Path("out").glob("[!.]*-colored.json")):  # those with a dot are being written
             assert run.poll() is None
             time.sleep(0.002)
         children = [int(pid) for pid in Path(f"/proc/{run.pid}/task/{run.pid}/children").read_text().split()]

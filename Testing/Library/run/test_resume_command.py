@@ -8,7 +8,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import cv2
@@ -107,18 +106,29 @@ class TestCommandLine:
         assert "--resume-limit: expected 0 GB or more" in capfd.readouterr().err
 
 
+# by itself, since another process cannot be sure to strike between two batches
+KILLED_AFTER_THE_FIRST_MATCH = """
+import os, signal, sys
+from MedColorLib.cli.main import main
+from MedColorLib.run.resume import RunStore
+save = RunStore.save
+RunStore.save = lambda *arguments: (save(*arguments), os.kill(os.getpid(), signal.SIGKILL))
+main(sys.argv[1:])
+"""
+
+
 @pytest.mark.slow
 def test_killed_in_the_middle(case):
     """SIGKILL leaves no time to tidy up; the real command, three processes."""
     command = [sys.executable, "-m", "MedColorLib", *LINE]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     subprocess.run([*command, "-o", "plain.nrrd"], check=True, env=environment)
-    run = subprocess.Popen([*command, "-o", "out.nrrd", "--resume"], env=environment)
-    while not list((case / "cache").rglob("*.safetensors")):
-        assert run.poll() is None, "ended before anything was kept"
-        time.sleep(0.001)
-    run.kill()
-    assert run.wait() == -signal.SIGKILL and not Path("out.nrrd").exists()
+    killed = subprocess.run(
+        [sys.executable, "-c", KILLED_AFTER_THE_FIRST_MATCH, *LINE, "-o", "out.nrrd", "--resume"],
+        check=False,
+        env=environment,
+    )
+    assert killed.returncode == -signal.SIGKILL and not Path("out.nrrd").exists()
     done = subprocess.run([*command, "-o", "out.nrrd", "--resume", "--report", "r.json"], check=True, env=environment)
     assert done.returncode == 0 and 0 < json.loads(Path("r.json").read_text())["resumed_slices"] < 12
     np.testing.assert_array_equal(read_color_volume("out.nrrd").rgb, read_color_volume("plain.nrrd").rgb)
