@@ -191,6 +191,7 @@ class Matched:
             options,
             one_tissue=one_tissue,
             doubts_outliers=engine.own_features,
+            tints=engine.tints if how.luminance == "natural" and not how.gamma else None,
         )
         match = SliceMatch(self.lab, self._greys[0], self._masks[0], trust)
         out = np.zeros((*self.prepared.view.shape[1:], 3))

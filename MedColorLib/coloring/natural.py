@@ -32,8 +32,10 @@ _MEDIAN_OF_NORMAL = 0.6745  # median of |x| of a normal distribution of deviatio
 _EVERY = 2  # each so many-th row and column is a witness of what lightness a tissue has in the scan
 
 
-def natural_lightness(own: np.ndarray, reference: np.ndarray, mask: np.ndarray, amount: float) -> np.ndarray:
-    """L* of a slice.
+def natural_lightness(
+    own: np.ndarray, reference: np.ndarray, mask: np.ndarray, amount: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """L* of a slice, and what its detail makes of the reference's lightness.
 
     Args:
         own: (rows, cols) L* of the scan. mask: (rows, cols) bool body.
@@ -41,18 +43,14 @@ def natural_lightness(own: np.ndarray, reference: np.ndarray, mask: np.ndarray, 
         amount: 0 gives the scan's own, 1 the reference's with the scan's detail; between them a mixture.
 
     Returns:
-        (n,) float32 of the mask's pixels.
+        L*, (n,) float32 of the mask's pixels, and R + d of them, whatever the amount.
     """
     own, reference = own.astype(np.float32), reference.astype(np.float32)
     inside = own[mask]
-    if amount == 0:
-        return inside
     detail = inside - _mean_of_tissue(own, reference, mask)
     natural = reference + np.float32(DETAIL_GAIN * DETAIL_LIMIT) * np.tanh(detail * np.float32(1 / DETAIL_LIMIT))
-    tissue = (
-        np.clip(_without_specks(own)[mask] * np.float32(1 / AIR_LIGHTNESS), 0, 1) * (inside > 0) * np.float32(amount)
-    )
-    return inside + tissue * (natural - inside)
+    tissue = np.clip(_without_specks(own)[mask] * np.float32(1 / AIR_LIGHTNESS), 0, 1) * (inside > 0)
+    return inside + tissue * np.float32(amount) * (natural - inside), natural
 
 
 def _mean_of_tissue(own: np.ndarray, reference: np.ndarray, mask: np.ndarray) -> np.ndarray:

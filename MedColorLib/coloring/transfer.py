@@ -28,6 +28,7 @@ from ..scan.grid import MARGIN, from_grid
 from ..scan.intensity import apply_curve
 from .natural import natural_lightness, without_noise
 from .one_tissue import one_tissue
+from .tints import tint
 
 if TYPE_CHECKING:
     from ..matching.confidence import Trust
@@ -64,6 +65,8 @@ class TransferParameters:
         lightness: 0..1 with natural luminance: from the scan's own lightness to the reference's.
         one_tissue: 0..1, how far a grey is one tissue all over a slice; see `one_tissue`.
         doubts_outliers: the regression's witnesses far from the others count less where few matches can be trusted.
+        tints: hue of the photograph by lightness, of `tints.tints_of`, for natural luminance without gamma; None: detail
+            changes no hue.
     """
 
     smoother: str
@@ -74,6 +77,7 @@ class TransferParameters:
     lightness: float = 1.0
     one_tissue: float = 0.0
     doubts_outliers: bool = False
+    tints: np.ndarray | None = None
 
     @property
     def first_channel(self) -> int:
@@ -158,7 +162,7 @@ def _transferred(grey: np.ndarray, mask: np.ndarray, match: SliceMatch, paramete
         return combine(grey, mask, None, remainder(match, None, parameters), parameters)
     difference = _difference(match.lab, match.grey, parameters, parameters.first_channel)
     smoothed = _smoothed(from_grid(difference, grey.shape), grey, parameters)
-    return _out_of_transfer(grey, mask, smoothed[mask], parameters, parameters.lightness)
+    return _out_of_transfer(grey, mask, smoothed[mask], parameters)
 
 
 def relation_sums(match: SliceMatch, parameters: TransferParameters) -> np.ndarray:
@@ -260,8 +264,7 @@ def combine(
         read = without_noise(grey) if parameters.luminance == "natural" else grey
         guess = regression.predict(relation, 255 * _spread(read, parameters), within, mask)
         change[..., -guess.shape[-1] :] += guess
-    change[..., -2:] *= saturation
-    return _out_of_transfer(grey, mask, change, parameters, saturation * parameters.lightness)
+    return _out_of_transfer(grey, mask, change, parameters, saturation)
 
 
 def colors_of(
@@ -272,9 +275,7 @@ def colors_of(
     Args:
         guess: (rows, cols, c) what a relation says of the pixels: a*, b* and, with natural luminance first, L*.
     """
-    guess = guess[mask]
-    guess[..., -2:] *= saturation
-    return _out_of_transfer(grey, mask, guess, parameters, saturation * parameters.lightness)
+    return _out_of_transfer(grey, mask, guess[mask], parameters, saturation)
 
 
 def spread_guide(grey: np.ndarray, parameters: TransferParameters) -> np.ndarray:
@@ -342,21 +343,24 @@ def _difference(matched: np.ndarray, grid_grey: np.ndarray, parameters: Transfer
 
 
 def _out_of_transfer(
-    grey: np.ndarray, mask: np.ndarray, change: np.ndarray, parameters: TransferParameters, lightness: float
+    grey: np.ndarray, mask: np.ndarray, change: np.ndarray, parameters: TransferParameters, saturation: float = 1.0
 ) -> np.ndarray:
     """T_Lab + change (n, channels), out of the space of the transfer, at the mask's pixels: (n, 3) L* a* b*.
 
     Args:
-        lightness: see `natural.natural_lightness`.
+        saturation: as of `combine`.
     """
     exact = parameters.gamma or parameters.luminance != "natural"  # else float32 holds all that there is
     lab = np.zeros((len(change), 3), np.float64 if exact else np.float32)
     own = _lightness(grey, parameters)
     if parameters.luminance == "natural":
-        lab[:, 0] = natural_lightness(own, change[:, 0], mask, lightness)
-        change = change[:, 1:]
+        told, change = change[:, 0], change[:, 1:]
+        lab[:, 0], seen = natural_lightness(own, told, mask, saturation * parameters.lightness)
+        if parameters.tints is not None:
+            change = change + tint(parameters.tints, told, seen)
     else:
         lab[:, 0] = own[mask]
+    change[..., -2:] *= saturation
     lab[:, 3 - change.shape[1] :] += change
     if parameters.gamma:
         lab = srgb_to_lab(gamma_decode(np.clip(lab_to_srgb(lab), 0, 1), _GAMMA))

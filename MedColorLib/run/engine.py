@@ -39,6 +39,7 @@ UNVOTED_TRUST = 1e-3  # of a group's mean colour, where the guard left no match:
 OWN_LAYER = 3  # whose raster is that of MedColor's own features: positions of 4 x 4 pixels
 NEAR_MM = 80.0  # a head's height beyond the slices asked for: the photograph's level may lie there
 TELLING_SLICES, TELLING_PX = 24, 64  # of the whole scan, of a side: in them grey is asked how far it tells tissue
+TINTING_REFERENCES = 24  # of many, so many are asked how hue goes with lightness
 MANY_REFERENCES = 7  # more are taken for one series, whose pictures all lie the same way
 
 
@@ -334,7 +335,15 @@ class Engine:
             settings.lightness if lightness is None else lightness,
             self.one_tissue(trusted_fraction),
             self._own_relation,
+            self.tints if settings.luminance == "natural" and not settings.resolved_gamma else None,
         )
+
+    @cached_property
+    def tints(self) -> np.ndarray:
+        """Of all references together, so that they change neither with the slices asked for nor along the stack."""
+        from ..coloring.tints import tints_of
+
+        return tints_of([r.lab[r.mask] for r in sample_slices(self.references, TINTING_REFERENCES)])
 
     @property
     def smoother_options(self) -> dict | None:

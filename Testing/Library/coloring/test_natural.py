@@ -21,7 +21,7 @@ def two_tissues(left: float, right: float) -> np.ndarray:
 def natural(own: np.ndarray, reference: np.ndarray, mask: np.ndarray, amount: float) -> np.ndarray:
     """L* in its place, 0 outside the mask."""
     plane = np.zeros(own.shape, np.float32)
-    plane[mask] = natural_lightness(own, reference[mask], mask, amount)
+    plane[mask], _ = natural_lightness(own, reference[mask], mask, amount)
     return plane
 
 
