@@ -4,7 +4,7 @@ The eight ways a picture can lie (quarter turns, and each mirrored) are matched 
 know their place in the body; the way with the highest similarity is taken. Two things help: bodies are mirror images of
 themselves about the plane between left and right, not about any other, which tells quarter turns; and where the scan shows
 less than the photograph (a head without its skull), the photograph's inner part is tried, too. Left and right of a body
-differ little: the picture's own way stays unless the mirrored one is clearly better.
+differ little: a picture is not mirrored unless that is clearly better.
 """
 
 from __future__ import annotations
@@ -117,12 +117,17 @@ def common_way(lies: Sequence[Lie]) -> Lie:
 
 
 def _lie(scores: dict[str, float]) -> Lie:
-    """The best way, but for left and right, which must differ clearly for a picture not to lie as it is."""
+    """The best way; a picture lies as it is, and is not mirrored, unless another way is clearly better.
+
+    On three trunks (two CT, one MR) the mirrored way of a photograph that is not was ahead by 0.000, 0.001 and 0.004.
+    """
     best = max(scores, key=scores.get)
     pair = next(pair for pair in _PAIRS if best in pair)
     margin = scores[best] - max(score for way, score in scores.items() if way not in pair)
-    needed = CLEARLY if "as it is" in pair else TURNED
-    if scores[best] <= scores["as it is"] + needed:
+    plain = next(way for way in pair if not WAYS[way][1])
+    if scores[best] <= scores[plain] + CLEARLY:
+        best = plain
+    if "as it is" not in pair and scores[best] <= scores["as it is"] + TURNED:
         best = "as it is"
     return Lie(best, max(float(margin), 0.0), scores)
 

@@ -23,6 +23,7 @@ LEAST_MARGIN = (
 )
 _TRUNK = 0.6  # of the largest inscribed disc's radius
 _LONG_SIDE, _SIDE = 160, 64  # pixels on which outlines are compared
+_END = 0.5  # of the largest slice's area
 _RECTANGLE = 0.97  # of its box filled
 _BEST_QUARTER = 75  # per cent: a scan shows more levels than a photograph; a quarter of its slices must fit
 REMEDY = "choose a photograph of the same part of the body, cut across as the slices are"
@@ -33,11 +34,13 @@ class Outline:
     """The trunk of a slice or a photograph: what is left without arms, ears and tables.
 
     Attributes:
-        filled: (64, 64) bool, its bounding box. proportion: log(height / width) of the box.
+        filled: (64, 64) bool, its bounding box. proportion: log(height / width) of the box. area: of it, in the unit of
+            `size`, squared.
     """
 
     filled: np.ndarray
     proportion: float
+    area: float = 1.0
 
 
 def outline(mask: np.ndarray, size: tuple[float, float]) -> Outline:
@@ -60,7 +63,7 @@ def outline(mask: np.ndarray, size: tuple[float, float]) -> Outline:
     frame = Frame.around(trunk)
     height, width = (last - first for first, last in (frame.rows, frame.cols))
     filled = cv2.resize(frame.cut(trunk).astype(np.float32), (_SIDE, _SIDE), interpolation=cv2.INTER_AREA) > 0.5
-    return Outline(filled, float(np.log(height / width)))
+    return Outline(filled, float(np.log(height / width)), float(filled.mean()) * height * width / scale**2)
 
 
 def doubts(slices: Sequence[Outline], photograph: Outline, lie: Lie, best_margin: float | None = None) -> list[str]:
@@ -76,6 +79,8 @@ def doubts(slices: Sequence[Outline], photograph: Outline, lie: Lie, best_margin
     slices = [one for one in slices if one.filled.mean() < _RECTANGLE]  # a field of view without air has no outline
     if not slices:
         return reasons
+    largest = max(one.area for one in slices)
+    slices = [one for one in slices if one.area > _END * largest]  # the ends of a head or a brain have any outline
     upright = turned(photograph.filled, lie.way)
     on_its_side = lie.way.startswith(("turned left", "turned right"))
     proportion = -photograph.proportion if on_its_side else photograph.proportion
