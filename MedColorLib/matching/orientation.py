@@ -61,6 +61,13 @@ class Lie:
     scores: dict[str, float]
 
     @property
+    def quarter_margin(self) -> float:
+        """Similarity by which the best way is ahead of the best that differs by a quarter turn."""
+        own = WAYS[max(self.scores, key=self.scores.get)][0] % 2
+        others = (score for way, score in self.scores.items() if WAYS[way][0] % 2 != own)
+        return float(max(self.scores.values()) - max(others))
+
+    @property
     def guess(self) -> bool:
         """Whether another way is nearly as likely."""
         return self.margin < GUESS

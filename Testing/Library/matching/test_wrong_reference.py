@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from MedColorLib import Settings, Volume, colorize
-from MedColorLib.matching.orientation import GUESS, Lie, laid
+from MedColorLib.matching.orientation import GUESS, WAYS, Lie, laid
 from MedColorLib.matching.wrong_reference import doubts, outline
 
 pytestmark = pytest.mark.usefixtures("small_raster")
-SURE, LOST = Lie("as it is", 0.05, {}), Lie("as it is", 0.002, {})
+LEVEL = dict.fromkeys(WAYS, 0.0)
+SURE, LOST = Lie("as it is", 0.05, LEVEL), Lie("as it is", 0.002, LEVEL)
 
 
 def ellipse(height: float, width: float, side: int = 120, centre=(0.0, 0.0)) -> np.ndarray:
@@ -38,7 +39,7 @@ def test_head_and_trunk_have_other_proportions():
 
 def test_a_picture_on_its_side_is_compared_upright():
     lying = of(laid(ellipse(0.35, 0.55), "turned left"))
-    assert doubts([TRUNK] * 3, lying, Lie("turned left", 0.05, {})) == []
+    assert doubts([TRUNK] * 3, lying, Lie("turned left", 0.05, LEVEL)) == []
     assert doubts([TRUNK] * 3, lying, SURE) != []
 
 
@@ -62,6 +63,21 @@ def test_no_way_up_fits_better():
     (why,) = doubts([HEAD], HEAD, LOST)
     assert "one way up" in why
     assert doubts([HEAD], HEAD, LOST, best_margin=2 * GUESS) == []
+
+
+def test_a_trunk_that_is_nearly_as_likely_upside_down_is_right_where_quarter_turns_are_not():
+    upright = {way: 0.15 if quarters % 2 == 0 else 0.0 for way, (quarters, _) in WAYS.items()}
+    assert doubts([TRUNK], TRUNK, Lie("turned by half", 0.0151, upright)) == []
+    assert doubts([TRUNK], TRUNK, Lie("turned by half", 0.0151, LEVEL)) != []
+    assert doubts([TRUNK], TRUNK, Lie("turned by half", 0.005, upright)) != []
+
+
+def test_small_slices_at_the_ends_say_nothing():
+    """The cerebellum alone is as wide as a trunk."""
+    wide = [of(ellipse(0.15, 0.25))] * 3
+    assert wide[0].area < 0.4 * HEAD.area
+    assert doubts([*wide, HEAD, HEAD, HEAD], TRUNK, SURE) != []
+    assert doubts([*wide, HEAD, HEAD, HEAD], HEAD, SURE) == []
 
 
 def test_a_quarter_of_the_slices_must_fit():
