@@ -162,6 +162,8 @@ def _color_prepared(
         with run.timed("network"):
             run.step(0.02, f"loading {prepared.plan.features} features")
             engine = taken_over(like, prepared, run, each) if like else Engine(prepared, run, store, each)
+        if not like:
+            engine.learn_elsewhere()
         painter = _color_slices(prepared, engine, rgb, confidence, run, each)
     with run.timed("rim"):
         run.step(0.99, "border of the body")

@@ -43,14 +43,14 @@ def natural_lightness(
         amount: 0 gives the scan's own, 1 the reference's with the scan's detail; between them a mixture.
 
     Returns:
-        L*, (n,) float32 of the mask's pixels, and R + d of them, whatever the amount.
+        L*, (n,) float32 of the mask's pixels, and R + d of them, whatever the amount; R in air.
     """
     own, reference = own.astype(np.float32), reference.astype(np.float32)
     inside = own[mask]
     detail = inside - _mean_of_tissue(own, reference, mask)
     natural = reference + np.float32(DETAIL_GAIN * DETAIL_LIMIT) * np.tanh(detail * np.float32(1 / DETAIL_LIMIT))
     tissue = np.clip(_without_specks(own)[mask] * np.float32(1 / AIR_LIGHTNESS), 0, 1) * (inside > 0)
-    return inside + tissue * np.float32(amount) * (natural - inside), natural
+    return inside + tissue * np.float32(amount) * (natural - inside), reference + tissue * (natural - reference)
 
 
 def _mean_of_tissue(own: np.ndarray, reference: np.ndarray, mask: np.ndarray) -> np.ndarray:

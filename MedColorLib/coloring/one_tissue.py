@@ -20,12 +20,19 @@ _AROUND_CELLS = 2.0  # Gaussian within which evidence is counted
 _LEAST = 1e-3  # of the cell with most evidence: cells with less lie outside the body
 
 
-def one_tissue(relation: np.ndarray, sums: np.ndarray, parameters: RegressionParameters, share: float) -> np.ndarray:
+def one_tissue(
+    relation: np.ndarray,
+    sums: np.ndarray,
+    parameters: RegressionParameters,
+    share: float,
+    elsewhere: np.ndarray | None = None,
+) -> np.ndarray:
     """The relation of colour and grey, drawn towards that of all places as deep.
 
     Args:
         relation: (rows, cols, bins, C) of `regression.solve`. sums: (rows, cols, bins, C + 1) that it comes from.
         share: 0..1, how far grey tells tissue; 0 leaves the relation as it is.
+        elsewhere: (DEPTHS, bins, C + 1), of `layers_of`: what slices all over the scan say, beside this one; or None.
 
     Returns:
         (rows, cols, bins, C) float32.
@@ -38,7 +45,7 @@ def one_tissue(relation: np.ndarray, sums: np.ndarray, parameters: RegressionPar
         return relation
     weight = share * np.clip((ENOUGH - _nearby(evidence, inside, parameters.cell_px)) / (ENOUGH - NONE), 0, 1)
     weight = weight.astype(np.float32)[..., None, None]
-    return relation + weight * (_as_deep(sums, inside, parameters.support_px) - relation)
+    return relation + weight * (_as_deep(sums, inside, parameters.support_px, elsewhere) - relation)
 
 
 def _nearby(evidence: np.ndarray, inside: np.ndarray, cell_px: float) -> np.ndarray:
@@ -49,13 +56,15 @@ def _nearby(evidence: np.ndarray, inside: np.ndarray, cell_px: float) -> np.ndar
     return gaussian_filter(evidence, _AROUND_CELLS) / np.maximum(cells * np.float32(cell_px**2), np.float32(1e-6))
 
 
-def _as_deep(sums: np.ndarray, inside: np.ndarray, support_px: float) -> np.ndarray:
+def _as_deep(sums: np.ndarray, inside: np.ndarray, support_px: float, elsewhere: np.ndarray | None) -> np.ndarray:
     """E[colour | depth, grey] at every cell; where a depth lacks a grey, what other depths say of it."""
     from scipy.ndimage import gaussian_filter1d
 
     rows, cols, bins, count = sums.shape
     shares = _layers(inside)
     layers = (shares @ sums.reshape(rows * cols, -1)).reshape(DEPTHS, bins, count)
+    if elsewhere is not None:
+        layers += elsewhere
     layers = gaussian_filter1d(layers, 1.0, axis=1, mode="nearest")
     curve = layers.sum(0)
     total = curve.sum(0)
@@ -72,3 +81,12 @@ def _layers(inside: np.ndarray) -> np.ndarray:
     depth = distance_transform_edt(np.pad(inside, 1))[1:-1, 1:-1] / (min(inside.shape) / 2)
     at = np.minimum(np.sqrt(depth) * DEPTHS, DEPTHS - 1).ravel()
     return np.maximum(1 - np.abs(at - np.arange(DEPTHS)[:, None]), 0).astype(np.float32)
+
+
+def layers_of(sums: np.ndarray) -> np.ndarray:
+    """(DEPTHS, bins, C + 1): the sums (rows, cols, bins, C + 1) of a slice by depth below the skin."""
+    evidence = sums[..., -1].sum(-1)
+    inside = evidence > _LEAST * evidence.max()
+    if not inside.any():
+        return np.zeros((DEPTHS, *sums.shape[2:]), np.float32)
+    return (_layers(inside) @ sums.reshape(inside.size, -1)).reshape(DEPTHS, *sums.shape[2:])

@@ -19,6 +19,7 @@ import numpy as np
 PER_LIGHTNESS = 8  # entries of the table for each L*
 _SIGMA = 4.0  # L* around each level in which a line is laid
 _STEEPEST = 1.0  # of a* or b* for each L*; more is two colours side by side
+_LEAST_YELLOW = 0.25  # of b*
 _LEAST_SEEN = 0.05  # of the most frequent lightness; beyond, the last known slope goes on
 _LEAST_VARIANCE = _SIGMA**2 / 3  # L* squared, within the window of a line
 
@@ -56,9 +57,14 @@ def tints_of(labs: Sequence[np.ndarray]) -> np.ndarray:
     return np.stack([np.interp(fine, levels, channel) for channel in table.T], -1).astype(np.float32)
 
 
-def tint(tints: np.ndarray, told: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """f(seen) - f(told), (n, 2) float32. told: (n,) R; seen: (n,) R + d."""
-    return tints[_entry(seen)] - tints[_entry(told)]
+def tinted(tints: np.ndarray, colors: np.ndarray, told: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """a*, b* (n, 2) float32 with f(seen) - f(told). told: (n,) R; seen: (n,) R + d.
+
+    Of what is yellow a share stays, so that nothing dark turns blue.
+    """
+    out = colors + (tints[_entry(seen)] - tints[_entry(told)])
+    np.maximum(out[:, 1], np.minimum(colors[:, 1], np.float32(_LEAST_YELLOW) * colors[:, 1]), out=out[:, 1])
+    return out
 
 
 def _entry(lightness: np.ndarray) -> np.ndarray:

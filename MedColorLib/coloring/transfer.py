@@ -28,7 +28,7 @@ from ..scan.grid import MARGIN, from_grid
 from ..scan.intensity import apply_curve
 from .natural import natural_lightness, without_noise
 from .one_tissue import one_tissue
-from .tints import tint
+from .tints import tinted
 
 if TYPE_CHECKING:
     from ..matching.confidence import Trust
@@ -67,6 +67,7 @@ class TransferParameters:
         doubts_outliers: the regression's witnesses far from the others count less where few matches can be trusted.
         tints: hue of the photograph by lightness, of `tints.tints_of`, for natural luminance without gamma; None: detail
             changes no hue.
+        elsewhere: what all the scan says of grey and colour where a grey is one tissue; see `one_tissue`.
     """
 
     smoother: str
@@ -78,6 +79,7 @@ class TransferParameters:
     one_tissue: float = 0.0
     doubts_outliers: bool = False
     tints: np.ndarray | None = None
+    elsewhere: np.ndarray | None = None
 
     @property
     def first_channel(self) -> int:
@@ -210,7 +212,9 @@ def _without_outliers(match: SliceMatch, parameters: TransferParameters) -> np.n
 
 def solve_relation(sums: np.ndarray, parameters: TransferParameters) -> np.ndarray:
     """Colour as a function of place and grey, from the sums of one or several slices."""
-    return one_tissue(regression.solve(sums, parameters.own), sums, parameters.own, parameters.one_tissue)
+    return one_tissue(
+        regression.solve(sums, parameters.own), sums, parameters.own, parameters.one_tissue, parameters.elsewhere
+    )
 
 
 def remainder(match: SliceMatch, relation: np.ndarray | None, parameters: TransferParameters) -> np.ndarray:
@@ -357,7 +361,7 @@ def _out_of_transfer(
         told, change = change[:, 0], change[:, 1:]
         lab[:, 0], seen = natural_lightness(own, told, mask, saturation * parameters.lightness)
         if parameters.tints is not None:
-            change = change + tint(parameters.tints, told, seen)
+            change = tinted(parameters.tints, change, told, seen)
     else:
         lab[:, 0] = own[mask]
     change[..., -2:] *= saturation

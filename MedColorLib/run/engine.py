@@ -70,6 +70,8 @@ class Engine:
         self.unmatched: dict[int, float] = {}
         self._features: dict[int, ReferenceFeatures] = {}
         self.kept: dict[int, bool] = {}
+        self._ahead: dict[tuple[int, int], tuple] = {}  # (slice, reference) -> its match, made before its turn
+        self.elsewhere: np.ndarray | None = None
         self.energy: dict[int, dict[int, float]] = {}  # reference -> layer -> share of the features in their components
         with run.timed("orientation"), one_thread():  # small arrays: what can go side by side goes through `each`
             self._turn_references()
@@ -152,6 +154,21 @@ class Engine:
         self.searched = found[0].searched
         return np.concatenate(greys), np.concatenate(masks), np.concatenate(labs), [t for part in trusts for t in part]
 
+    def match_ahead(self, ks: Sequence[int], index: int) -> list[tuple]:
+        """`match` of each of these slices alone, before its turn; in its turn those that are to be coloured come from here."""
+        self.features_of(index)
+        store = None if self.store is None or self.store.by_batch else self.store
+        stored = [store.load([k], index, self.device) if store else None for k in ks]
+        with self.run.shared_out():
+            each = self._each if self.apart else map
+            done = list(each(self._match_part, [[k] for k in ks], [index] * len(ks), stored))
+        for k, (found, *_) in zip(ks, done):
+            if store:
+                store.save([k], index, found)
+        if self.apart:
+            self._ahead |= {(k, index): one for k, one in zip(ks, done) if self.choice.get(k) == index}
+        return [rest for _, *rest in done]
+
     @property
     def reads_trust(self) -> bool:
         """Whether anything reads how far matches can be trusted."""
@@ -161,6 +178,8 @@ class Engine:
         """The match of some slices, and what `match` returns; on a thread of its own where slices are matched side by side."""
         from ..matching.vote import matched_colors
 
+        if len(ks) == 1 and (ahead := self._ahead.pop((ks[0], index), None)):
+            return ahead  # once: a slice has one turn
         reference = self.references[index]
         with self.run.timed("matching"):
             greys, masks = self.slices_on_grid(ks)
@@ -336,14 +355,30 @@ class Engine:
             self.one_tissue(trusted_fraction),
             self._own_relation,
             self.tints if settings.luminance == "natural" and not settings.resolved_gamma else None,
+            self.elsewhere,
         )
+
+    def learn_elsewhere(self) -> None:
+        """Ask slices all over the scan how colour goes with grey; see `elsewhere`."""
+        from .elsewhere import relation_elsewhere
+
+        with self.run.timed("contrast"):
+            self.elsewhere = None
+            self.elsewhere = relation_elsewhere(self)
+
+    def forget_colors(self) -> None:
+        """After another exposure: what was learned of the references' colours is not true any more."""
+        self._ahead.clear()
+        self.__dict__.pop("tints", None)
+        self.elsewhere = None
 
     @cached_property
     def tints(self) -> np.ndarray:
-        """Of all references together, so that they change neither with the slices asked for nor along the stack."""
+        """Of the references in use together, so that they do not change along the stack."""
         from ..coloring.tints import tints_of
 
-        return tints_of([r.lab[r.mask] for r in sample_slices(self.references, TINTING_REFERENCES)])
+        used = sample_slices(sorted(set(self.choice.values())), TINTING_REFERENCES)
+        return tints_of([self.references[index].lab[self.references[index].mask] for index in used])
 
     @property
     def smoother_options(self) -> dict | None:

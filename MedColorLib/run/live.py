@@ -86,6 +86,7 @@ class LiveSlices:
         self._view = self._prepared.order.view(volume.array)
         self._run.step(0.0, "features")
         self._engine = Engine(self._prepared, self._run, cast("RunStore", KeptMatches()))
+        self._engine.learn_elsewhere()
         self._plain: Sequence | None = None  # the references as they are, once an exposure was changed
         self._exposure: str | float | None = self._settings.exposure
         self._evidence: dict[int, Evidence] = {}
@@ -128,6 +129,8 @@ class LiveSlices:
         for n, reference in enumerate(expose(self._plain, exposure)):
             self._run.step(0.0, "exposure")
             self._exchange(n, reference)
+        self._engine.forget_colors()
+        self._engine.learn_elsewhere()
         self._exposure = exposure
 
     def _exchange(self, n: int, reference) -> None:

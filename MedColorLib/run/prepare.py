@@ -26,6 +26,8 @@ from .patient import choose_body, describe_body
 
 # how the plan speaks of feature networks
 NETWORKS = {"embedded": "MedColor's own network (no download)", "vgg19": "VGG-19", "gray-vgg19": "gray VGG-19"}
+# `elsewhere`
+_ASKED = "; where matches tell little, up to 16 of the body's slices are matched all the same, to learn what grey means"
 
 
 @dataclass(frozen=True)
@@ -198,11 +200,13 @@ def _left_out(settings, preset, smoother, features, view, body, chosen, referenc
     if empty:
         entries.append(LeftOut("empty slices", "no body in them; they stay black", f"{empty} of {len(view)} slices"))
     if settings.region is not None:
-        text = "not asked for; slices beyond are not matched, voxels beyond stay black"
+        text = f"not asked for; voxels beyond stay black{_ASKED}"
         entries.append(LeftOut("outside the region of interest", text, f"{len(body.slices) - len(chosen)} slices"))
     outside = len(body.slices) - len(chosen)
     if outside and settings.region is None:
-        entries.append(LeftOut("slices outside the range", "not asked for; they stay black", f"{outside} slices"))
+        entries.append(
+            LeftOut("slices outside the range", f"not asked for; they stay black{_ASKED}", f"{outside} slices")
+        )
     entries.append(
         LeftOut(
             "air around the body", "each slice is cut to its body's box", f"{100 * (1 - cropped):.0f} % of the pixels"

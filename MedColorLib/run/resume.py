@@ -110,7 +110,10 @@ class RunStore:
     Attributes:
         key: name of its folder.
         problem: why nothing more is kept, or None. The run itself goes on in any case.
+        by_batch: slices are kept as they were matched together.
     """
+
+    by_batch = True
 
     def __init__(self, options: Resume, key: str) -> None:
         self.key, self.problem = key, None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from MedColorLib.coloring.tints import PER_LIGHTNESS, tint, tints_of
+from MedColorLib.coloring.tints import PER_LIGHTNESS, tinted, tints_of
 from MedColorLib.coloring.transfer import SliceMatch, TransferParameters, transfer_lab
 
 RNG = np.random.default_rng(0)
@@ -19,7 +19,8 @@ def photograph(low: float, high: float, slope=(-0.2, 0.3), noise: float = 3.0, c
 
 
 def change(tints: np.ndarray, told: float, seen: float) -> np.ndarray:
-    return tint(tints, np.float32([told]), np.float32([seen]))[0]
+    given = np.float32([[20, 90]])
+    return (tinted(tints, given, np.float32([told]), np.float32([seen])) - given)[0]
 
 
 @pytest.mark.parametrize("slope", [(-0.2, 0.3), (0.1, 0.4), (0.0, 0.0)])
@@ -83,3 +84,12 @@ def test_cortex_and_white_matter_of_one_match_differ_in_hue():
     light, dark = (tinted[..., 1:][plain[..., 0] > 57].mean(0), tinted[..., 1:][plain[..., 0] < 53].mean(0))
     assert np.degrees(np.arctan2(light[1], light[0])) > np.degrees(np.arctan2(dark[1], dark[0])) + 4
     np.testing.assert_allclose(tinted[..., 1:].mean((0, 1)), plain[..., 1:].mean((0, 1)), atol=0.5)
+
+
+def test_nothing_yellow_turns_blue_and_blue_stays():
+    tints = tints_of([photograph(10, 90, (-0.2, 0.4))])
+    colors, dark, light = np.float32([[10, 8], [10, -8]]), np.float32([20, 20]), np.float32([70, 70])
+    assert (
+        tinted(tints, colors, light, dark)[0, 1] == pytest.approx(2) and tinted(tints, colors, light, dark)[1, 1] == -8
+    )
+    assert (tinted(tints, colors, dark, light)[:, 1] > colors[:, 1] + 15).all()

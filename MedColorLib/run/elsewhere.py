@@ -1,0 +1,49 @@
+"""What slices all over the scan say of colour and grey, for those that their own matches tell little about.
+
+A photograph shows one level. Shoulders after a section of the chest find no shoulders there, and in such slices muscle took
+the colour of fat. In the chest of the same scan the matches know fat from muscle, and grey means the same in both.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..scan.slices import sample_slices
+
+if TYPE_CHECKING:
+    from .engine import Engine
+
+FEW = 4  # of the slices that are to be coloured; where these can trust their matches, no others are asked
+SLICES = 16  # spread over the body that are asked
+POWER = 4  # of a slice's share of trusted matches: 0.35 counts eight times as much as 0.2
+
+
+def relation_elsewhere(engine: Engine) -> np.ndarray | None:
+    """Sums as `coloring.one_tissue.layers_of` gives them, the mean of slices by how far their matches can be trusted.
+
+    Of the whole body, whichever slices are to be coloured. None where nothing would read it: without the own features and the
+    regression, where the slices' matches know better (`usual.one_tissue_share`), with tissue groups, and with several references
+    in use.
+    """
+    from ..coloring.one_tissue import layers_of
+    from ..coloring.transfer import SliceMatch, relation_sums
+
+    used = set(engine.choice.values())
+    if engine.one_tissue(0.0) == 0 or engine.prepared.groups is not None or len(used) > 1:
+        return None
+    prepared = engine.prepared
+    few = engine.match_ahead(sample_slices([k for k in prepared.plan.slices if k not in prepared.repeats], FEW), *used)
+    if not any(engine.one_tissue(trust.trusted_fraction) for *_, (trust,) in few):
+        return None
+    parameters = engine.transfer_parameters()
+    total, weight = np.zeros((), np.float32), 0.0
+    others = [int(k) for k in prepared.body.slices if k not in prepared.repeats]
+    for grey, mask, lab, (trust,) in engine.match_ahead(sample_slices(others, SLICES), *used):
+        share = trust.trusted_fraction**POWER
+        total = total + np.float32(share) * layers_of(
+            relation_sums(SliceMatch(lab[0], grey[0], mask[0], trust), parameters)
+        )
+        weight += share
+    return total / np.float32(weight) if weight > 0 else None
