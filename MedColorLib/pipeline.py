@@ -365,6 +365,9 @@ def _report(prepared: Prepared, engine: Engine, run: Run, painter: Painter) -> d
         "out_of_gamut_pixels": painter.clipped,
         "lightness_bent_pixels": painter.bent,
         "trusted_fraction": {str(k): v for k, v in painter.trusted.items()},
+        # how far a grey was taken for one tissue, and how many slices were asked all over the scan what it means
+        "one_tissue_fraction": {str(k): v for k, v in painter.one_tissue.items()},
+        "slices_asked_of_grey": engine.asked,
         "greyed_slices": _greyed(painter),
         "body": report_body(prepared.body),
         "guard": _guard(prepared, engine, painter),

@@ -20,23 +20,23 @@ SLICES = 16  # spread over the body that are asked
 POWER = 4  # of a slice's share of trusted matches: 0.35 counts eight times as much as 0.2
 
 
-def relation_elsewhere(engine: Engine) -> np.ndarray | None:
+def relation_elsewhere(engine: Engine) -> tuple[np.ndarray | None, int]:
     """Sums as `coloring.one_tissue.layers_of` gives them, the mean of slices by how far their matches can be trusted.
 
     Of the whole body, whichever slices are to be coloured. None where nothing would read it: without the own features and the
     regression, where the slices' matches know better (`usual.one_tissue_share`), with tissue groups, and with several references
-    in use.
+    in use. And of how many slices.
     """
     from ..coloring.one_tissue import layers_of
     from ..coloring.transfer import SliceMatch, relation_sums
 
     used = set(engine.choice.values())
     if engine.one_tissue(0.0) == 0 or engine.prepared.groups is not None or len(used) > 1:
-        return None
+        return None, 0
     prepared = engine.prepared
     few = engine.match_ahead(sample_slices([k for k in prepared.plan.slices if k not in prepared.repeats], FEW), *used)
     if not any(engine.one_tissue(trust.trusted_fraction) for *_, (trust,) in few):
-        return None
+        return None, 0
     parameters = engine.transfer_parameters()
     total, weight = np.zeros((), np.float32), 0.0
     others = [int(k) for k in prepared.body.slices if k not in prepared.repeats]
@@ -46,4 +46,4 @@ def relation_elsewhere(engine: Engine) -> np.ndarray | None:
             relation_sums(SliceMatch(lab[0], grey[0], mask[0], trust), parameters)
         )
         weight += share
-    return total / np.float32(weight) if weight > 0 else None
+    return (total / np.float32(weight), min(SLICES, len(others))) if weight > 0 else (None, 0)

@@ -72,6 +72,7 @@ class Engine:
         self.kept: dict[int, bool] = {}
         self._ahead: dict[tuple[int, int], tuple] = {}  # (slice, reference) -> its match, made before its turn
         self.elsewhere: np.ndarray | None = None
+        self.asked = 0  # slices, for `elsewhere`
         self.energy: dict[int, dict[int, float]] = {}  # reference -> layer -> share of the features in their components
         with run.timed("orientation"), one_thread():  # small arrays: what can go side by side goes through `each`
             self._turn_references()
@@ -364,7 +365,9 @@ class Engine:
 
         with self.run.timed("contrast"):
             self.elsewhere = None
-            self.elsewhere = relation_elsewhere(self)
+            self.elsewhere, self.asked = relation_elsewhere(self)
+        if self.asked:
+            log.info("what grey means was asked of %d slices all over the scan", self.asked)
 
     def forget_colors(self) -> None:
         """After another exposure: what was learned of the references' colours is not true any more."""

@@ -61,6 +61,7 @@ class Painter:
         self.trusted: dict[int, float] = {}
         self.agreement: dict[int, float] = {}
         self.saturation: dict[int, float] = {}
+        self.one_tissue: dict[int, float] = {}
         self._engine, self._stack, self._confidence, self._boxes = engine, stack, confidence, prepared.body.boxes
         self._weighs = settings.weighs_matches
         self._parameters = engine.transfer_parameters()
@@ -112,6 +113,7 @@ class Painter:
         ready = list(zip_longest(*streams))  # all have the same slices ready
         for (k, *_), *_others in ready:
             self.saturation[k] = saturation(self._mean[k][0])
+            self.one_tissue[k] = round(self._parameters_of(k).one_tissue, 4)
         return self._each(self._color, ready)
 
     def _parameters_of(self, k: int) -> TransferParameters:

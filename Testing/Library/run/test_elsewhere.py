@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from MedColorLib import Guard, Settings, Volume
+from MedColorLib import Guard, Settings, Volume, colorize
 from MedColorLib.coloring.one_tissue import DEPTHS, layers_of, one_tissue
 from MedColorLib.filters.regression import RegressionParameters, solve
 from MedColorLib.progress import Run
@@ -79,7 +79,8 @@ def test_the_whole_body_is_asked_whichever_slices_are_wanted(ct, monkeypatch):
     engine = engine_of(ct.volume, ct.reference, replace(DRAFT, slices=(4, 7)))
     ahead = engine.match_ahead
     monkeypatch.setattr(engine, "match_ahead", lambda ks, index: asked.append(list(ks)) or ahead(ks, index))
-    assert relation_elsewhere(engine) is not None
+    relation, count = relation_elsewhere(engine)
+    assert relation is not None and count == len(asked[1])
     assert asked == [[4, 5, 6], [int(k) for k in engine.prepared.body.slices]] and len(asked[1]) > 3
 
 
@@ -89,7 +90,7 @@ def test_where_matches_know_better_no_other_slices_are_asked(ct, monkeypatch):
     engine = engine_of(ct.volume, ct.reference, replace(DRAFT, slices=(4, 7)))
     ahead = engine.match_ahead
     monkeypatch.setattr(engine, "match_ahead", lambda ks, index: asked.append(list(ks)) or ahead(ks, index))
-    assert relation_elsewhere(engine) is None and asked == [[4, 5, 6]]
+    assert relation_elsewhere(engine) == (None, 0) and asked == [[4, 5, 6]]
 
 
 @pytest.mark.parametrize("why", ["grey tells nothing", "tissue groups", "several references", "another smoother"])
@@ -108,4 +109,13 @@ def test_nobody_is_asked_where_nothing_would_read_it(ct, monkeypatch, why):
         monkeypatch.setattr(Engine, "one_tissue", lambda *_: 0.0 if why == "grey tells nothing" else 1.0)
     monkeypatch.setattr(engine, "match_ahead", lambda *_: pytest.fail("asked"))
     engine.learn_elsewhere()
-    assert engine.elsewhere is None
+    assert engine.elsewhere is None and engine.asked == 0
+
+
+def test_report(ct):
+    report = colorize(ct.volume, [ct.reference], replace(DRAFT, slices=(4, 7))).report
+    assert report["slices_asked_of_grey"] == 12
+    assert set(report["one_tissue_fraction"]) == {"4", "5", "6"}
+    assert all(0 < share <= 1 for share in report["one_tissue_fraction"].values())
+    kept = colorize(ct.volume, [ct.reference], replace(DRAFT, slices=(4, 7), smoother="guided")).report
+    assert kept["slices_asked_of_grey"] == 0 and not any(kept["one_tissue_fraction"].values())
