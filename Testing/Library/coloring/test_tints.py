@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from MedColorLib.coloring.tints import PER_LIGHTNESS, tinted, tints_of
+from MedColorLib.coloring.tints import PER_LIGHTNESS, SHARE, tinted, tints_of
 from MedColorLib.coloring.transfer import SliceMatch, TransferParameters, transfer_lab
 
 RNG = np.random.default_rng(0)
@@ -27,26 +27,26 @@ def change(tints: np.ndarray, told: float, seen: float) -> np.ndarray:
 def test_a_line_is_found_again_and_goes_on_beyond_the_photographs_range(slope):
     tints = tints_of([photograph(20, 80, slope)])
     for told, seen in ((50, 62), (50, 35), (70, 95), (30, 5)):
-        np.testing.assert_allclose(change(tints, told, seen), (seen - told) * np.array(slope), atol=1.5)
+        np.testing.assert_allclose(change(tints, told, seen), SHARE * (seen - told) * np.array(slope), atol=1.5)
 
 
 def test_a_bend_is_followed():
     dark, light = photograph(10, 50, (0.4, 0.4)), photograph(50, 90, (-0.4, 0.2))
     tints = tints_of([np.concatenate([dark, light])])
-    np.testing.assert_allclose(change(tints, 20, 35), (6, 6), atol=1)
-    np.testing.assert_allclose(change(tints, 65, 80), (-6, 3), atol=1)
+    np.testing.assert_allclose(change(tints, 20, 35), SHARE * np.array((6, 6)), atol=1)
+    np.testing.assert_allclose(change(tints, 65, 80), SHARE * np.array((-6, 3)), atol=1)
 
 
 def test_against_a_mean_in_each_level():
     """Where levels are full, the table's differences are those of plain means."""
     lab = photograph(20, 80, noise=1.0, count=200000)
     means = np.array([lab[np.abs(lab[:, 0] - level) < 0.5, 1:].mean(0) for level in (30, 70)])
-    np.testing.assert_allclose(change(tints_of([lab]), 30, 70), means[1] - means[0], atol=0.2)
+    np.testing.assert_allclose(change(tints_of([lab]), 30, 70), SHARE * (means[1] - means[0]), atol=0.2)
 
 
 def test_photographs_count_alike_whatever_their_size():
     small, large = photograph(20, 80, (0.3, 0.3), count=2000), photograph(20, 80, (-0.3, 0.3), count=50000)
-    np.testing.assert_allclose(change(tints_of([small, large]), 40, 60), (0, 6), atol=0.5)
+    np.testing.assert_allclose(change(tints_of([small, large]), 40, 60), (0, SHARE * 6), atol=0.5)
 
 
 @pytest.mark.parametrize(
