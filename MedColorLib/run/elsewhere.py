@@ -20,7 +20,7 @@ SLICES = 16  # spread over the body that are asked
 POWER = 4  # of a slice's share of trusted matches: 0.35 counts eight times as much as 0.2
 
 
-def relation_elsewhere(engine: Engine) -> tuple[np.ndarray | None, int]:
+def relation_elsewhere(engine: Engine, count: int = SLICES) -> tuple[np.ndarray | None, int]:
     """Sums as `coloring.one_tissue.layers_of` gives them, the mean of slices by how far their matches can be trusted.
 
     Of the whole body, whichever slices are to be coloured. None where nothing would read it: without the own features and the
@@ -34,16 +34,18 @@ def relation_elsewhere(engine: Engine) -> tuple[np.ndarray | None, int]:
     if engine.one_tissue(0.0) == 0 or engine.prepared.groups is not None or len(used) > 1:
         return None, 0
     prepared = engine.prepared
-    few = engine.match_ahead(sample_slices([k for k in prepared.plan.slices if k not in prepared.repeats], FEW), *used)
+    few = engine.match_ahead(
+        sample_slices([k for k in prepared.plan.slices if k not in prepared.repeats], min(FEW, count)), *used
+    )
     if not any(engine.one_tissue(trust.trusted_fraction) for *_, (trust,) in few):
         return None, 0
     parameters = engine.transfer_parameters()
     total, weight = np.zeros((), np.float32), 0.0
     others = [int(k) for k in prepared.body.slices if k not in prepared.repeats]
-    for grey, mask, lab, (trust,) in engine.match_ahead(sample_slices(others, SLICES), *used):
+    for grey, mask, lab, (trust,) in engine.match_ahead(sample_slices(others, count), *used):
         share = trust.trusted_fraction**POWER
         total = total + np.float32(share) * layers_of(
             relation_sums(SliceMatch(lab[0], grey[0], mask[0], trust), parameters)
         )
         weight += share
-    return (total / np.float32(weight), min(SLICES, len(others))) if weight > 0 else (None, 0)
+    return (total / np.float32(weight), min(count, len(others))) if weight > 0 else (None, 0)

@@ -359,13 +359,13 @@ class Engine:
             self.elsewhere,
         )
 
-    def learn_elsewhere(self) -> None:
-        """Ask slices all over the scan how colour goes with grey; see `elsewhere`."""
-        from .elsewhere import relation_elsewhere
+    def learn_elsewhere(self, count: int | None = None) -> None:
+        """Ask slices all over the scan, at most so many, how colour goes with grey; see `elsewhere`."""
+        from .elsewhere import SLICES, relation_elsewhere
 
         with self.run.timed("contrast"):
             self.elsewhere = None
-            self.elsewhere, self.asked = relation_elsewhere(self)
+            self.elsewhere, self.asked = relation_elsewhere(self, count or SLICES)
         if self.asked:
             log.info("what grey means was asked of %d slices all over the scan", self.asked)
 

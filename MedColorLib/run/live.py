@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 STEP_MM = 4.0  # between the transverse slices that slices across the stack are coloured from
 MOST_SLICES = 96  # of those
+ASKED = 4  # slices that are asked what grey means, anew after a change of exposure; a run asks sixteen
 
 
 @dataclass(frozen=True)
@@ -130,7 +131,7 @@ class LiveSlices:
             self._run.step(0.0, "exposure")
             self._exchange(n, reference)
         self._engine.forget_colors()
-        self._engine.learn_elsewhere()
+        self._engine.learn_elsewhere(None if exposure == self._settings.exposure else ASKED)
         self._exposure = exposure
 
     def _exchange(self, n: int, reference) -> None:
