@@ -19,6 +19,8 @@ _TOP = (1.0, 100.0, 50.0)
 # place, from the second they know better than grey. CT head after a photograph of one of its levels: 0.45 to 0.52 within
 # 8 mm of it, where one tissue a grey would double the error, 0.21 to 0.32 elsewhere, where its orbits were found in the brain.
 _KNOWS_PLACE = 0.3, 0.45
+# Likewise, with a relation of grey to colour: chest CT after a section of the chest 0.30 to 0.35, its shoulders 0.21 to 0.25.
+_LOST = 0.22, 0.28
 # Share of the body in two neighbouring levels of grey: up to the first grey tells tissue; from the second, nothing.
 _TELLS_TISSUE = 0.45, 0.65
 
@@ -78,18 +80,21 @@ def support_px(grey_tells: float, contrast_trust: float) -> float:
     return FEW_PX + (MANY_PX - FEW_PX) * grey_tells * (1 - contrast_trust)
 
 
-def one_tissue_share(grey_tells: float, contrast_trust: float, trusted_fraction: float) -> float:
+def one_tissue_share(grey_tells: float, contrast_trust: float, trusted_fraction: float, told: bool = False) -> float:
     """0..1, how far a grey at one depth is taken for one tissue all over a slice; see `coloring.one_tissue`.
 
     As far as grey tells tissue, or as far as matches cannot be trusted; but not where matches show a relation of grey to
-    colour, as in the chest: they know better.
+    colour, as in the chest: they know better. Where they are lost, all of the scan knows better yet.
 
     Args:
         grey_tells, contrast_trust: as for `support_px`. trusted_fraction: of the slice and its neighbours, 0..1.
+        told: whether slices all over the scan say what grey means (`run.elsewhere`).
     """
     low, high = _KNOWS_PLACE
     unknown = float(np.clip((high - trusted_fraction) / (high - low), 0, 1))
-    return (1 - contrast_trust) * max(grey_tells**2, unknown)
+    lost, known = _LOST
+    beyond = float(np.clip((known - trusted_fraction) / (known - lost), 0, 1)) if told else 0.0
+    return max((1 - contrast_trust) * max(grey_tells**2, unknown), beyond)
 
 
 def _levels(grey: np.ndarray, lab: np.ndarray) -> list[np.ndarray]:

@@ -31,13 +31,13 @@ def relation_elsewhere(engine: Engine, count: int = SLICES) -> tuple[np.ndarray 
     from ..coloring.transfer import SliceMatch, relation_sums
 
     used = set(engine.choice.values())
-    if engine.one_tissue(0.0) == 0 or engine.prepared.groups is not None or len(used) > 1:
+    if engine.one_tissue(0.0, told=True) == 0 or engine.prepared.groups is not None or len(used) > 1:
         return None, 0
     prepared = engine.prepared
     few = engine.match_ahead(
         sample_slices([k for k in prepared.plan.slices if k not in prepared.repeats], min(FEW, count)), *used
     )
-    if not any(engine.one_tissue(trust.trusted_fraction) for *_, (trust,) in few):
+    if not any(engine.one_tissue(trust.trusted_fraction, told=True) for *_, (trust,) in few):
         return None, 0
     parameters = engine.transfer_parameters()
     total, weight = np.zeros((), np.float32), 0.0

@@ -393,13 +393,18 @@ class Engine:
             return self.settings.smoother_options
         return {**options, "support_px": round(support_px(self.grey_tells, self._contrast_trust), 1)}
 
-    def one_tissue(self, trusted_fraction: float) -> float:
-        """How far a grey is taken for one tissue all over a slice; measured for the own features alone."""
+    def one_tissue(self, trusted_fraction: float, told: bool | None = None) -> float:
+        """How far a grey is taken for one tissue; measured for the own features alone.
+
+        Args:
+            told: as of `usual.one_tissue_share`; None: whether `elsewhere` is known.
+        """
         from ..matching.usual import one_tissue_share
 
         if not self._own_relation:
             return 0.0
-        return one_tissue_share(self.grey_tells, self._contrast_trust, trusted_fraction)
+        told = self.elsewhere is not None if told is None else told
+        return one_tissue_share(self.grey_tells, self._contrast_trust, trusted_fraction, told)
 
     @property
     def _own_relation(self) -> bool:

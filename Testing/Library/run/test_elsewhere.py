@@ -10,6 +10,7 @@ import pytest
 from MedColorLib import Guard, Settings, Volume, colorize
 from MedColorLib.coloring.one_tissue import DEPTHS, layers_of, one_tissue
 from MedColorLib.filters.regression import RegressionParameters, solve
+from MedColorLib.matching.usual import one_tissue_share
 from MedColorLib.progress import Run
 from MedColorLib.run.elsewhere import SLICES, relation_elsewhere
 from MedColorLib.run.engine import Engine
@@ -64,7 +65,7 @@ def test_slices_all_over_the_body_are_asked_each_matched_once(ct, monkeypatch):
     monkeypatch.setattr(
         engine, "_own_match", lambda index, greys, *rest: matched.append(len(greys)) or own(engine, index, greys, *rest)
     )
-    monkeypatch.setattr(Engine, "one_tissue", lambda *_: 1.0)
+    monkeypatch.setattr(Engine, "one_tissue", lambda *_, **__: 1.0)
     engine.learn_elsewhere()
     ks = list(engine.choice)
     assert engine.elsewhere is not None and np.isfinite(engine.elsewhere).all() and len(matched) == min(SLICES, len(ks))
@@ -74,7 +75,7 @@ def test_slices_all_over_the_body_are_asked_each_matched_once(ct, monkeypatch):
 
 
 def test_the_whole_body_is_asked_whichever_slices_are_wanted(ct, monkeypatch):
-    monkeypatch.setattr(Engine, "one_tissue", lambda *_: 1.0)
+    monkeypatch.setattr(Engine, "one_tissue", lambda *_, **__: 1.0)
     asked = []
     engine = engine_of(ct.volume, ct.reference, replace(DRAFT, slices=(4, 7)))
     ahead = engine.match_ahead
@@ -85,7 +86,7 @@ def test_the_whole_body_is_asked_whichever_slices_are_wanted(ct, monkeypatch):
 
 
 def test_where_matches_know_better_no_other_slices_are_asked(ct, monkeypatch):
-    monkeypatch.setattr(Engine, "one_tissue", lambda _, trusted: 1.0 if trusted == 0 else 0.0)
+    monkeypatch.setattr(Engine, "one_tissue", lambda _, trusted, told=None: 1.0 if trusted == 0 else 0.0)
     asked = []
     engine = engine_of(ct.volume, ct.reference, replace(DRAFT, slices=(4, 7)))
     ahead = engine.match_ahead
@@ -106,7 +107,7 @@ def test_nobody_is_asked_where_nothing_would_read_it(ct, monkeypatch, why):
     if why == "several references":
         engine.choice = {k: k % 2 for k in engine.choice}
     if why != "another smoother":
-        monkeypatch.setattr(Engine, "one_tissue", lambda *_: 0.0 if why == "grey tells nothing" else 1.0)
+        monkeypatch.setattr(Engine, "one_tissue", lambda *_, **__: 0.0 if why == "grey tells nothing" else 1.0)
     monkeypatch.setattr(engine, "match_ahead", lambda *_: pytest.fail("asked"))
     engine.learn_elsewhere()
     assert engine.elsewhere is None and engine.asked == 0
@@ -119,3 +120,10 @@ def test_report(ct):
     assert all(0 < share <= 1 for share in report["one_tissue_fraction"].values())
     kept = colorize(ct.volume, [ct.reference], replace(DRAFT, slices=(4, 7), smoother="guided")).report
     assert kept["slices_asked_of_grey"] == 0 and not any(kept["one_tissue_fraction"].values())
+
+
+def test_lost_slices_are_told_by_the_scan_even_where_grey_and_colour_are_related():
+    """Shoulders after a section of the chest; in the chest itself the matches know better."""
+    assert one_tissue_share(0.0, 1.0, 0.21, told=True) == 1.0 and one_tissue_share(0.0, 1.0, 0.21) == 0.0
+    assert one_tissue_share(0.0, 1.0, 0.31, told=True) == 0.0
+    assert one_tissue_share(0.0, 0.0, 0.31, told=True) == one_tissue_share(0.0, 0.0, 0.31) > 0.9
