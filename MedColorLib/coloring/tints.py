@@ -5,7 +5,7 @@ yellow. Around one L* the Visible Human's head and thorax follow the same line, 
 are too coarse to see this within a brain: at their scale white matter and cortex have one hue. The scan's own detail tells them
 apart, and the photograph's relation gives it the hue.
 
-    (a*, b*) += 0.75 (f(R + d) - f(R)),    f = E[a*, b* of the photograph | L*]
+    (a*, b*) += 0.6 (f(R + d) - f(R)),    f = E[a*, b* of the photograph | L*]
 
 with R and d as in `natural`. At the lightness that the matches give nothing changes.
 """
@@ -18,7 +18,7 @@ import numpy as np
 
 # Of the photograph's slope: some detail is noise and shading. Slider at 1, CT 122 and chest CT: 3.7 and 7.8 with none of it,
 # 3.9 and 6.8 with 0.6, 3.9 and 6.6 with 0.75, 4.1 and 6.2 with all.
-SHARE = 0.75
+SHARE = 0.6
 PER_LIGHTNESS = 8  # entries of the table for each L*
 _SIGMA = 4.0  # L* around each level in which a line is laid
 _STEEPEST = 1.0  # of a* or b* for each L*; more is two colours side by side
@@ -28,7 +28,7 @@ _LEAST_VARIANCE = _SIGMA**2 / 3  # L* squared, within the window of a line
 
 
 def tints_of(labs: Sequence[np.ndarray]) -> np.ndarray:
-    """0.75 f of photographs: (100 PER_LIGHTNESS + 1, 2) float32, a* and b* at L* 0 to 100.
+    """0.6 f of photographs: (100 PER_LIGHTNESS + 1, 2) float32, a* and b* at L* 0 to 100.
 
     The sum of the slopes of local lines, by weighted least squares on a histogram of L*. Only its differences are of use.
 
@@ -61,7 +61,7 @@ def tints_of(labs: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def tinted(tints: np.ndarray, colors: np.ndarray, told: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """a*, b* (n, 2) float32 with 0.75 (f(seen) - f(told)). told: (n,) R; seen: (n,) R + d.
+    """a*, b* (n, 2) float32 with 0.6 (f(seen) - f(told)). told: (n,) R; seen: (n,) R + d.
 
     Of what is yellow a share stays, so that nothing dark turns blue.
     """

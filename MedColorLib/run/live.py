@@ -201,15 +201,19 @@ class LiveSlices:
         if not mask.any():
             return out
         read = without_noise(grey) if parameters.luminance == "natural" else grey
-        change = np.zeros((*read.shape, 3 if parameters.luminance == "natural" else 2), np.float32)
-        groups = self._groups_across(seen, number)
+        groups, left = self._groups_across(seen, number), mask.copy()
+        kept = float(np.mean([self._of_slice(k).kept for k in self._witnesses()]))
+        lab = np.zeros((*read.shape, 3), np.float32)
         for name, (witnesses, relations) in self._relations().items():
             inside = mask if groups is None else mask & (groups == name)
-            if inside.any():
+            if inside.any():  # a group's detail is its own, as in a run
                 guess = self._guess(seen, number, read, parameters, witnesses, relations, inside.any(axis=1))
-                change[inside] = guess[inside]
-        kept = float(np.mean([self._of_slice(k).kept for k in self._witnesses()]))
-        out[mask] = to_picture(colors_of(grey, mask, change, parameters, kept), mask)[0][mask]
+                lab[inside] = colors_of(grey, inside, guess, parameters, kept)
+                left &= ~inside
+        if left.any():
+            nothing = np.zeros((*read.shape, 3 if parameters.luminance == "natural" else 2), np.float32)
+            lab[left] = colors_of(grey, left, nothing, parameters, kept)
+        out[mask] = to_picture(lab[mask], mask)[0][mask]
         return self._in_region(out, seen)
 
     def _groups_across(self, seen: int, number: int) -> np.ndarray | None:

@@ -92,4 +92,4 @@ def test_nothing_yellow_turns_blue_and_blue_stays():
     assert (
         tinted(tints, colors, light, dark)[0, 1] == pytest.approx(2) and tinted(tints, colors, light, dark)[1, 1] == -8
     )
-    assert (tinted(tints, colors, dark, light)[:, 1] > colors[:, 1] + 15).all()
+    assert (tinted(tints, colors, dark, light)[:, 1] > colors[:, 1] + SHARE * 18).all()

@@ -86,7 +86,7 @@ def test_phantom_face_up_and_face_down(ct, way):
 
 def test_a_turned_reference_gives_the_colors_of_the_right_one(ct):
     volume = Volume(ct.volume.array[3:8], ct.volume.ijk_to_ras)
-    right, wrong = (colorize(volume, [ct.reference[::step, ::step]], DRAFT) for step in (1, -1))
+    right, wrong = (colorize(volume, [ct.reference[::rows]], DRAFT) for rows in (1, -1))
     difference = np.abs(srgb_to_lab(right.rgb) - srgb_to_lab(wrong.rgb))[ct.labels[3:8] > 0]
     assert difference.mean() < 1
 
