@@ -364,7 +364,7 @@ class Engine:
         from .elsewhere import SLICES, relation_elsewhere
 
         with self.run.timed("contrast"):
-            self.elsewhere = None
+            self.elsewhere = None  # what is asked is asked without it
             self.elsewhere, self.asked = relation_elsewhere(self, count or SLICES)
         if self.asked:
             log.info("what grey means was asked of %d slices all over the scan", self.asked)
@@ -373,7 +373,6 @@ class Engine:
         """After another exposure: what was learned of the references' colours is not true any more."""
         self._ahead.clear()
         self.__dict__.pop("tints", None)
-        self.elsewhere = None
 
     @cached_property
     def tints(self) -> np.ndarray:

@@ -26,7 +26,7 @@ from .patient import choose_body, describe_body
 
 # how the plan speaks of feature networks
 NETWORKS = {"embedded": "MedColor's own network (no download)", "vgg19": "VGG-19", "gray-vgg19": "gray VGG-19"}
-# `elsewhere`
+# by the own features and the regression alone: `elsewhere`
 _ASKED = "; where matches tell little, up to 16 of the body's slices are matched all the same, to learn what grey means"
 
 
@@ -199,13 +199,14 @@ def _left_out(settings, preset, smoother, features, view, body, chosen, referenc
     empty = len(view) - len(body.slices)
     if empty:
         entries.append(LeftOut("empty slices", "no body in them; they stay black", f"{empty} of {len(view)} slices"))
+    told = _ASKED if features == "embedded" and smoother == "regression" else ""
     if settings.region is not None:
-        text = f"not asked for; voxels beyond stay black{_ASKED}"
+        text = f"not asked for; voxels beyond stay black{told or ', slices beyond are not matched'}"
         entries.append(LeftOut("outside the region of interest", text, f"{len(body.slices) - len(chosen)} slices"))
     outside = len(body.slices) - len(chosen)
     if outside and settings.region is None:
         entries.append(
-            LeftOut("slices outside the range", f"not asked for; they stay black{_ASKED}", f"{outside} slices")
+            LeftOut("slices outside the range", f"not asked for; they stay black{told}", f"{outside} slices")
         )
     entries.append(
         LeftOut(

@@ -169,6 +169,8 @@ class TestSlices:
         assert left.saving == f"{len(make_plan(ct.volume, [ct.reference], settings()).slices) - 3} slices"
         # contrast from the three; then all twelve are asked what grey means, and what is coloured is not matched again
         assert extracted() == [1] + [1] * 3 + [1] * 12 and "up to 16 of the body's slices" in left.why
+        guided = make_plan(ct.volume, [ct.reference], settings(slices=(4, 7), smoother="guided"))
+        assert entry(guided, "slices outside the range").why == "not asked for; they stay black"
         assert not result.rgb[:4].any() and not result.rgb[7:].any() and result.rgb[4:7].any((1, 2, 3)).all()
 
     def test_colors_of_a_range_do_not_depend_on_the_order_of_the_rest(self, ct):
