@@ -18,6 +18,7 @@ HALF_LEVEL = 0.5 / 255.0  # components this far outside 0..1 still round to 0 or
 _LARGEST = 1e6
 _KNEE_L = 15.0  # L* below the highest lightness of a chroma at which lightness begins to bend
 _CHROMA_LIMIT = 128  # a*, b* of every sRGB colour lie within it
+_SRGB_LARGEST_AB = 99.0, 108.0  # |a*|, |b*| of pure red, green, blue and their mixtures stay below
 _HALVINGS = 12  # chroma to 1/4096 of the wish: below the rounding to bytes
 
 
@@ -114,20 +115,27 @@ def _highest_lightness() -> np.ndarray:
 
     Where it holds it at no L*, that of the largest chroma of the same hue that it does hold.
     """
-    axis = np.arange(-_CHROMA_LIMIT, _CHROMA_LIMIT + 1, dtype=np.float64)
-    b, a = np.meshgrid(axis, axis, indexing="ij")
-    highest = np.full(a.shape, np.nan)
-    for lightness in np.arange(0.0, 100.01, 0.5):
-        colors = np.stack([np.full(a.shape, lightness), a, b], -1)
-        highest[~_outside(lab_to_linear(colors))] = lightness
-    return _continued_inwards(highest, a, b).astype(np.float32)
+    axis = np.arange(-_CHROMA_LIMIT, _CHROMA_LIMIT + 1, dtype=np.float32)
+    b, a = (values.ravel() for values in np.meshgrid(axis, axis, indexing="ij"))
+    highest = np.full(a.size, np.nan, np.float32)
+    left = np.flatnonzero((np.abs(a) < _SRGB_LARGEST_AB[0]) & (np.abs(b) < _SRGB_LARGEST_AB[1]))
+    for lightness in np.arange(100.0, -0.01, -0.5, dtype=np.float32):  # from above: what is found needs no second look
+        colors = np.stack([np.full(left.size, lightness), a[left], b[left]], -1)
+        held = ~_outside(lab_to_linear(colors))
+        highest[left[held]] = lightness
+        left = left[~held]
+    return _continued_inwards(highest, a, b).reshape(len(axis), len(axis))
 
 
 def _continued_inwards(highest: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Fill NaN with the value of the nearest known point on the way to grey."""
+    left = np.flatnonzero(np.isnan(highest))
     for share in np.linspace(1.0, 0.0, 257)[1:]:
-        rows, cols = (np.rint(values * share).astype(int) + _CHROMA_LIMIT for values in (b, a))
-        highest = np.where(np.isnan(highest), highest[rows, cols], highest)
+        rows, cols = (np.rint(values[left] * share).astype(int) + _CHROMA_LIMIT for values in (b, a))
+        found = highest[rows * (2 * _CHROMA_LIMIT + 1) + cols]
+        known = ~np.isnan(found)
+        highest[left[known]] = found[known]
+        left = left[~known]
     return highest
 
 
