@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -60,16 +61,43 @@ def one_thread() -> Iterator[None]:
         _set_threads(threads, cv2_threads)
 
 
+class _OneBlasThread:
+    """NumPy's matrix products with one thread inside: threads that call them at once wait for each other, and spin meanwhile.
+
+    Users may overlap (two runs): the last one that leaves gives the threads back.
+    """
+
+    def __init__(self) -> None:
+        self._lock, self._inside, self._limits = threading.Lock(), 0, None
+
+    def __enter__(self) -> None:
+        from threadpoolctl import threadpool_limits
+
+        with self._lock:
+            if not self._inside:
+                self._limits = threadpool_limits(limits=1, user_api="blas")
+            self._inside += 1
+
+    def __exit__(self, *_error) -> None:
+        with self._lock:
+            self._inside -= 1
+            if not self._inside:
+                self._limits.restore_original_limits()
+
+
+_one_blas_thread = _OneBlasThread()
+
+
 @contextmanager
 def side_by_side() -> Iterator[Each]:
-    """A `map` for the slices of a batch, each on a thread of its own; torch, too, has one thread for each.
+    """A `map` for the slices of a batch, each on a thread of its own; torch, too, has one thread for each, NumPy's BLAS in all.
 
     Their arrays are too small to be worth several threads each. The result does not depend on the number of threads. In a
     stage of a run (`progress.Run.timed`) each slice asks first whether the run was cancelled.
     """
     import torch
 
-    with ThreadPoolExecutor(torch.get_num_threads(), "MedColor slices") as pool:
+    with _one_blas_thread, ThreadPoolExecutor(torch.get_num_threads(), "MedColor slices") as pool:
 
         def each(function, *arguments):
             with one_thread():

@@ -40,12 +40,12 @@ def relation_elsewhere(engine: Engine, count: int = SLICES) -> tuple[np.ndarray 
     if not any(engine.one_tissue(trust.trusted_fraction, told=True) for *_, (trust,) in few):
         return None, 0
     parameters = engine.transfer_parameters()
-    total, weight = np.zeros((), np.float32), 0.0
     others = [int(k) for k in prepared.body.slices if k not in prepared.repeats]
-    for grey, mask, lab, (trust,) in engine.match_ahead(sample_slices(others, count), *used):
-        share = trust.trusted_fraction**POWER
-        total = total + np.float32(share) * layers_of(
-            relation_sums(SliceMatch(lab[0], grey[0], mask[0], trust), parameters)
-        )
-        weight += share
-    return (total / np.float32(weight), min(count, len(others))) if weight > 0 else (None, 0)
+
+    def told(matched: tuple) -> tuple[np.float32, np.ndarray]:
+        grey, mask, lab, (trust,) = matched
+        share = np.float32(trust.trusted_fraction**POWER)
+        return share, share * layers_of(relation_sums(SliceMatch(lab[0], grey[0], mask[0], trust), parameters))
+
+    shares, sums = zip(*engine.each(told, engine.match_ahead(sample_slices(others, count), *used)))
+    return (sum(sums) / sum(shares), min(count, len(others))) if sum(shares) > 0 else (None, 0)

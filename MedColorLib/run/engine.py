@@ -54,7 +54,7 @@ class Engine:
         from ..matching.reconstruction import make_reconstruction
 
         self.prepared, self.run, self.store = prepared, run, store
-        self._each = each
+        self.each = each
         self.settings, self.grid, self.device = prepared.settings, prepared.grid, prepared.plan.device
         preset = PRESETS[self.settings.preset]
         self.stop_layer, self.uses_context = preset.stop_layer, preset.context
@@ -148,7 +148,7 @@ class Engine:
         parts = [[k] for k in ks] if self.apart else [ks]
         known = [None] * len(parts) if stored is None else stored.parts() if self.apart else [stored]
         with self.run.shared_out():
-            done = (self._each if self.apart else map)(self._match_part, parts, [index] * len(parts), known)
+            done = (self.each if self.apart else map)(self._match_part, parts, [index] * len(parts), known)
             found, greys, masks, labs, trusts = zip(*done)
         if store and not stored:
             store.save(ks, index, joined(found))
@@ -161,7 +161,7 @@ class Engine:
         store = None if self.store is None or self.store.by_batch else self.store
         stored = [store.load([k], index, self.device) if store else None for k in ks]
         with self.run.shared_out():
-            each = self._each if self.apart else map
+            each = self.each if self.apart else map
             done = list(each(self._match_part, [[k] for k in ks], [index] * len(ks), stored))
         for k, (found, *_) in zip(ks, done):
             if store:
@@ -309,13 +309,13 @@ class Engine:
     def _lies(self, references: Sequence[ReferenceOnGrid]) -> list[Lie]:
         """How each lies: seen from the slices asked for and, where these do not tell, from those near them, too."""
         greys, masks = self.slices_on_grid(sample_slices(self.prepared.plan.slices))
-        lies = [find_way(greys, masks, r.grey, r.mask, self._each) for r in references]
+        lies = [find_way(greys, masks, r.grey, r.mask, self.each) for r in references]
         near = self._slices_near()
         if all(lie.margin > SURE for lie in lies) or len(near) == len(self.prepared.plan.slices):
             return lies
         greys, masks = self.slices_on_grid(sample_slices(near))
         others = [
-            lie if lie.margin > SURE else find_way(greys, masks, r.grey, r.mask, self._each)
+            lie if lie.margin > SURE else find_way(greys, masks, r.grey, r.mask, self.each)
             for lie, r in zip(lies, references)
         ]
         return [max(both, key=lambda lie: lie.margin) for both in zip(lies, others)]
@@ -456,7 +456,7 @@ class Engine:
             colors = matched_colors(field, OWN_LAYER, own_lab).permute(0, 2, 3, 1).float().cpu().numpy()
             return seen_luminance(reference.grey, field, OWN_LAYER)[0], colors[0]
 
-        each = self._each if self.apart else map
+        each = self.each if self.apart else map
         seen, colors = (np.stack(values) for values in zip(*each(matched, greys, masks)))
         reference.contrast = seen_contrast(greys, masks, seen)
         if self.reads_trust:

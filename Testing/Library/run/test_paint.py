@@ -57,6 +57,23 @@ def test_order_threads_and_errors():
     assert not any(thread.name.startswith("MedColor slices") for thread in threading.enumerate())
 
 
+def test_the_last_of_two_runs_gives_the_threads_of_blas_back():
+    from threadpoolctl import threadpool_info, threadpool_limits
+
+    def of_blas():
+        return {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
+
+    with threadpool_limits(3, user_api="blas"):
+        before = of_blas()
+        first, second = device.side_by_side(), device.side_by_side()
+        with first:
+            second.__enter__()
+            assert of_blas() == {1}
+        assert of_blas() == {1}
+        second.__exit__(None, None, None)
+        assert of_blas() == before != {1}
+
+
 @pytest.mark.parametrize(("cores", "free", "expected"), [(8, 1, 7), (2, 1, 1), (1, 1, 1), (4, 9, 1), (None, 1, 1)])
 def test_cores_left_free(cores, free, expected, monkeypatch):
     monkeypatch.setattr(device.os, "cpu_count", lambda: cores)
