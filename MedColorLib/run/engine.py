@@ -70,7 +70,9 @@ class Engine:
         self.unmatched: dict[int, float] = {}
         self._features: dict[int, ReferenceFeatures] = {}
         self.kept: dict[int, bool] = {}
-        self._ahead: dict[tuple[int, int], tuple] = {}  # (slice, reference) -> its match, made before its turn
+        # (slice, reference) -> its match, made before its turn; where the contrast was learned, without its colours
+        self._ahead: dict[tuple[int, int], tuple] = {}
+        self._found: dict[tuple[int, int], Match] = {}
         self.elsewhere: np.ndarray | None = None
         self.asked = 0  # slices, for `elsewhere`
         self.energy: dict[int, dict[int, float]] = {}  # reference -> layer -> share of the features in their components
@@ -186,7 +188,8 @@ class Engine:
             greys, masks = self.slices_on_grid(ks)
             matched = apply_curve(greys, reference.contrast.curve) * masks
         within = None if reference.groups is None else self._within(ks, index, masks)
-        found = stored or self._correspondence(index, greys * masks, matched, masks, within)
+        known = self._found.pop((ks[0], index), None) if len(ks) == 1 and within is None else None
+        found = stored or known or self._correspondence(index, greys * masks, matched, masks, within)
         with self.run.timed("matching"):
             own_lab = self._on_device(reference.lab)
             if within is None:
@@ -427,9 +430,10 @@ class Engine:
 
         reference, needed = self.references[index], self.features_of(index)
         own = [k for k, chosen in self.choice.items() if chosen == index]
-        greys, masks = self.slices_on_grid(sample_slices(own))
+        ks = sample_slices(own)
+        greys, masks = self.slices_on_grid(ks)
         if self.own_features:
-            self._learn_from_own_matches(index, greys, masks)
+            self._learn_from_own_matches(index, ks, greys, masks)
             log.info("contrast for %s: %s", reference.name, reference.contrast.describe())
             return
         mask_tensor = torch.from_numpy(masks).to(self.device)
@@ -442,8 +446,8 @@ class Engine:
         reference.contrast = match_contrast(greys, masks, reference.grey, reference.mask, coarse_similarity)
         log.info("contrast for %s: %s", reference.name, reference.contrast.describe())
 
-    def _learn_from_own_matches(self, index: int, greys: np.ndarray, masks: np.ndarray) -> None:
-        """What grey means, and its usual colours, from matches of slices (S, H, W); one at a time, for the memory's sake."""
+    def _learn_from_own_matches(self, index: int, ks: Sequence[int], greys: np.ndarray, masks: np.ndarray) -> None:
+        """What grey means, and its usual colours, from matches of slices ks (S, H, W); one at a time, for the memory's sake."""
         from ..matching.contrast import seen_contrast, seen_luminance
         from ..matching.usual import usual_colors
         from ..matching.vote import matched_colors
@@ -451,13 +455,15 @@ class Engine:
         reference = self.references[index]
         own_lab = self._on_device(reference.lab)
 
-        def matched(grey: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            field = self._own_match(index, (grey * mask)[None], mask[None]).field
-            colors = matched_colors(field, OWN_LAYER, own_lab).permute(0, 2, 3, 1).float().cpu().numpy()
-            return seen_luminance(reference.grey, field, OWN_LAYER)[0], colors[0]
+        def matched(k: int, grey: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            found = self._own_match(index, (grey * mask)[None], mask[None])
+            if self.apart:
+                self._found[k, index] = found
+            colors = matched_colors(found.field, OWN_LAYER, own_lab).permute(0, 2, 3, 1).float().cpu().numpy()
+            return seen_luminance(reference.grey, found.field, OWN_LAYER)[0], colors[0]
 
         each = self.each if self.apart else map
-        seen, colors = (np.stack(values) for values in zip(*each(matched, greys, masks)))
+        seen, colors = (np.stack(values) for values in zip(*each(matched, ks, greys, masks)))
         reference.contrast = seen_contrast(greys, masks, seen)
         if self.reads_trust:
             reference.usual = usual_colors(greys[masks], colors[masks], self.grey_tells)

@@ -146,7 +146,8 @@ def taken_over(engine: Engine, prepared: Prepared, run: Run, each: Each) -> Engi
     What was learned of the references stays, and what lies in the store is taken up.
     """
     other, known = copy(engine), np.array(sorted(engine.choice))
-    other.prepared, other.run, other.each, other.unmatched, other._ahead = prepared, run, each, {}, {}
+    other.prepared, other.run, other.each = prepared, run, each
+    other.unmatched, other._ahead, other._found = {}, {}, {}
     nearest = {k: int(known[np.abs(known - k).argmin()]) for k in prepared.plan.slices}
     other.choice = {k: engine.choice[near] for k, near in nearest.items()}
     return other
