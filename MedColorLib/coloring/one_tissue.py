@@ -39,13 +39,18 @@ def one_tissue(
     """
     if share == 0:
         return relation
-    evidence = sums[..., -1].sum(-1)
-    inside = evidence > _LEAST * evidence.max()
+    evidence, inside = _evidence(sums)
     if not inside.any():
         return relation
     weight = share * np.clip((ENOUGH - _nearby(evidence, inside, parameters.cell_px)) / (ENOUGH - NONE), 0, 1)
     weight = weight.astype(np.float32)[..., None, None]
     return relation + weight * (_as_deep(sums, inside, parameters.support_px, elsewhere) - relation)
+
+
+def _evidence(sums: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(rows, cols) evidence of each cell, and bool: which lie inside the body."""
+    evidence = sums[..., -1].sum(-1)
+    return evidence, evidence > _LEAST * evidence.max()
 
 
 def _nearby(evidence: np.ndarray, inside: np.ndarray, cell_px: float) -> np.ndarray:
@@ -62,7 +67,7 @@ def _as_deep(sums: np.ndarray, inside: np.ndarray, support_px: float, elsewhere:
 
     rows, cols, bins, count = sums.shape
     shares = _layers(inside)
-    layers = (shares @ sums.reshape(rows * cols, -1)).reshape(DEPTHS, bins, count)
+    layers = _by_depth(shares, sums)
     if elsewhere is not None:
         layers += elsewhere
     layers = gaussian_filter1d(layers, 1.0, axis=1, mode="nearest")
@@ -83,10 +88,12 @@ def _layers(inside: np.ndarray) -> np.ndarray:
     return np.maximum(1 - np.abs(at - np.arange(DEPTHS)[:, None]), 0).astype(np.float32)
 
 
+def _by_depth(shares: np.ndarray, sums: np.ndarray) -> np.ndarray:
+    """(DEPTHS, bins, C + 1)"""
+    return (shares @ sums.reshape(shares.shape[1], -1)).reshape(DEPTHS, *sums.shape[2:])
+
+
 def layers_of(sums: np.ndarray) -> np.ndarray:
     """(DEPTHS, bins, C + 1): the sums (rows, cols, bins, C + 1) of a slice by depth below the skin."""
-    evidence = sums[..., -1].sum(-1)
-    inside = evidence > _LEAST * evidence.max()
-    if not inside.any():
-        return np.zeros((DEPTHS, *sums.shape[2:]), np.float32)
-    return (_layers(inside) @ sums.reshape(inside.size, -1)).reshape(DEPTHS, *sums.shape[2:])
+    _, inside = _evidence(sums)
+    return _by_depth(_layers(inside), sums) if inside.any() else np.zeros((DEPTHS, *sums.shape[2:]), np.float32)

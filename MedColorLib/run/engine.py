@@ -16,13 +16,13 @@ from ..features.components import PROJECTED_LAYERS, kept_energy, principal_compo
 from ..features.kept import reference_features
 from ..matching.analogy import joined
 from ..matching.assignment import assign
-from ..matching.orientation import SURE, Lie, common_way, find_way
 from ..parameters import PRESETS
 from ..progress import Run
 from ..scan.intensity import apply_curve, spreading_curve
 from ..scan.slices import sample_slices, slice_in_box, slice_on_grid
 from .doubts import reference_warnings
 from .on_grid import ReferenceFeatures, ReferenceOnGrid, WithinGroups
+from .orient import turn_references
 from .prepare import Prepared
 
 if TYPE_CHECKING:
@@ -37,10 +37,8 @@ log = logging.getLogger("MedColorLib")
 
 UNVOTED_TRUST = 1e-3  # of a group's mean colour, where the guard left no match: a fiftieth of the least trusted match
 OWN_LAYER = 3  # whose raster is that of MedColor's own features: positions of 4 x 4 pixels
-NEAR_MM = 80.0  # a head's height beyond the slices asked for: the photograph's level may lie there
 TELLING_SLICES, TELLING_PX = 24, 64  # of the whole scan, of a side: in them grey is asked how far it tells tissue
 TINTING_REFERENCES = 24  # of many, so many are asked how hue goes with lightness
-MANY_REFERENCES = 7  # more are taken for one series, whose pictures all lie the same way
 
 
 class Engine:
@@ -188,8 +186,7 @@ class Engine:
             greys, masks = self.slices_on_grid(ks)
             matched = apply_curve(greys, reference.contrast.curve) * masks
         within = None if reference.groups is None else self._within(ks, index, masks)
-        known = self._found.pop((ks[0], index), None) if len(ks) == 1 and within is None else None
-        found = stored or known or self._correspondence(index, greys * masks, matched, masks, within)
+        found = stored or self._correspondence(index, greys * masks, matched, masks, within, ks)
         with self.run.timed("matching"):
             own_lab = self._on_device(reference.lab)
             if within is None:
@@ -220,10 +217,11 @@ class Engine:
         own = self.groups_on_grid(ks)
         return WithinGroups(own, masks, reference, groups.missing[index], len(groups), self.device)
 
-    def _correspondence(self, index: int, greys, matched, masks, within: WithinGroups | None) -> Match:
-        """The correspondence of slices (N, H, W), in the photograph's contrast where the features see contrast."""
+    def _correspondence(self, index: int, greys, matched, masks, within: WithinGroups | None, ks) -> Match:
+        """The correspondence of slices ks (N, H, W), in the photograph's contrast where the features see contrast."""
         if self.own_features:
-            return self._own_match(index, greys, masks, within and within.channels())
+            known = self._found.pop((ks[0], index), None) if len(ks) == 1 and within is None else None
+            return known or self._own_match(index, greys, masks, within and within.channels())
         return self._analogy(index, matched, masks, within)
 
     def _own_match(self, index: int, greys: np.ndarray, masks: np.ndarray, groups=None) -> Match:
@@ -287,46 +285,7 @@ class Engine:
         return [trust_of(*planes, *relation) for planes in zip(confidence, matched, seen)]
 
     def _turn_references(self) -> None:
-        """Find out which way up the references lie: each for itself, or many (a series of photographs) together."""
-        few = self.references if len(self.references) <= MANY_REFERENCES else sample_slices(self.references)
-        lies = self._lies(few)
-        if len(few) < len(self.references):
-            lies = [common_way(lies)] * len(self.references)
-        for reference, lie in zip(self.references, lies):
-            if lie.guess:
-                log.warning(
-                    "reference %s lies %s; compare the result, and turn the picture if it is wrong",
-                    reference.name,
-                    lie.describe(),
-                )
-            elif lie.way != "as it is":
-                log.info("reference %s lies %s", reference.name, lie.way)
-            reference.turn(lie)
-        guesses = [f"{r.name} {r.lie.describe()}" for r in self.references if r.lie.guess]
-        named = [f"{r.name} {r.way}" for r in self.references if r.way != "as it is" and not r.lie.guess]
-        texts = guesses + named
-        if texts:
-            more = [f"and {len(texts) - MANY_REFERENCES} more"] if len(texts) > MANY_REFERENCES else []
-            self.prepared.plan.steps["orientation"] = "; ".join([*texts[:MANY_REFERENCES], *more])
-
-    def _lies(self, references: Sequence[ReferenceOnGrid]) -> list[Lie]:
-        """How each lies: seen from the slices asked for and, where these do not tell, from those near them, too."""
-        greys, masks = self.slices_on_grid(sample_slices(self.prepared.plan.slices))
-        lies = [find_way(greys, masks, r.grey, r.mask, self.each) for r in references]
-        near = self._slices_near()
-        if all(lie.margin > SURE for lie in lies) or len(near) == len(self.prepared.plan.slices):
-            return lies
-        greys, masks = self.slices_on_grid(sample_slices(near))
-        others = [
-            lie if lie.margin > SURE else find_way(greys, masks, r.grey, r.mask, self.each)
-            for lie, r in zip(lies, references)
-        ]
-        return [max(both, key=lambda lie: lie.margin) for both in zip(lies, others)]
-
-    def _slices_near(self) -> list[int]:
-        """The slices to be coloured and the body's others within NEAR_MM: more levels, so that one is like the photograph."""
-        chosen, reach = self.prepared.plan.slices, round(NEAR_MM / self.prepared.slice_spacing_mm)
-        return [int(k) for k in self.prepared.body.slices if chosen[0] - reach <= k <= chosen[-1] + reach]
+        turn_references(self.prepared, self.references, self.slices_on_grid, self.each)
 
     @cached_property
     def grey_tells(self) -> float:

@@ -17,6 +17,7 @@ from MedColorLib.parameters import PRESETS
 from MedColorLib.phantom import section
 from MedColorLib.plan import LeftOut, Plan
 from MedColorLib.run import prepare
+from MedColorLib.run.engine import Engine
 from MedColorLib.scan.slices import sample_slices
 
 pytestmark = pytest.mark.usefixtures("small_raster")
@@ -58,7 +59,7 @@ def calls(monkeypatch):
 
 @pytest.fixture
 def extracted(calls):
-    """Slices of every extraction: the reference, slices from which its contrast is learned, then those that are coloured."""
+    """Slices of every extraction: the reference, slices from which its contrast is learned, then others that are coloured."""
     seen = calls(Contrast, "extract")
     return lambda: [len(a[1]) for a, _ in seen]
 
@@ -156,9 +157,7 @@ class TestSlices:
         result = colorize(volume, [ct.reference], settings(batch=1))
         plan = make_plan(volume, [ct.reference], settings())
         assert plan.slices == (1, 2, 4) and entry(plan, "empty slices").saving == "4 of 7 slices"
-        assert (
-            extracted() == [1] + [1] * 3 + [1] * 3
-        )  # the reference, three slices for its contrast, the same to be coloured
+        assert extracted() == [1] + [1] * 3  # the reference, three slices for its contrast and to be coloured
         assert not result.rgb[[0, 3, 5, 6]].any() and result.rgb[[1, 2, 4]].any((1, 2, 3)).all()
 
     def test_slices_outside_the_range(self, ct, extracted):
@@ -167,8 +166,8 @@ class TestSlices:
         assert plan.slices == (4, 5, 6)
         left = entry(plan, "slices outside the range")
         assert left.saving == f"{len(make_plan(ct.volume, [ct.reference], settings()).slices) - 3} slices"
-        # contrast from the three; then all twelve are asked what grey means, and what is coloured is not matched again
-        assert extracted() == [1] + [1] * 3 + [1] * 12 and "up to 16 of the body's slices" in left.why
+        # contrast from the three; then all twelve are asked what grey means, and nothing is matched again
+        assert extracted() == [1] + [1] * 3 + [1] * 9 and "up to 16 of the body's slices" in left.why
         guided = make_plan(ct.volume, [ct.reference], settings(slices=(4, 7), smoother="guided"))
         assert entry(guided, "slices outside the range").why == "not asked for; they stay black"
         assert not result.rgb[:4].any() and not result.rgb[7:].any() and result.rgb[4:7].any((1, 2, 3)).all()
@@ -221,7 +220,7 @@ class TestRegion:
         plan = make_plan(middle(ct), [ct.reference], settings(region=region))
         assert plan.slices == (1, 2) and entry(plan, "outside the region of interest")
         result = colorize(middle(ct), [ct.reference], settings(region=region, batch=8))
-        assert extracted() == [1] + [1] * 2 + [1] * 2 and result.rgb.any((1, 2, 3)).tolist() == [
+        assert extracted() == [1] + [1] * 2 and result.rgb.any((1, 2, 3)).tolist() == [
             False,
             True,
             True,
@@ -246,15 +245,15 @@ class TestRepeats:
         return scan(ct.volume.array[[3, 4, 4, 4, 5, 4, 4]])
 
     @pytest.mark.parametrize("changes", [{}, {"coherence_mm": 0.0}, {"smoother": "guided"}, {"batch": 1}])
-    def test_matched_once_and_colored_the_same(self, ct, extracted, monkeypatch, changes):
-        volume = self.repeating(ct)
+    def test_matched_once_and_colored_the_same(self, ct, calls, extracted, monkeypatch, changes):
+        volume, matched = self.repeating(ct), calls(Engine, "match")
         plan = make_plan(volume, [ct.reference], settings(**changes))
         assert entry(plan, "repeated slices").saving == "3 slices" and entry(plan, "repeated slices").error == "none"
         result = colorize(volume, [ct.reference], settings(**changes))
-        assert sum(extracted()) == 1 + 7 + 4
+        assert sum(extracted()) == 1 + 7 and sum(len(a[1]) for a, _ in matched) == 4
         monkeypatch.setattr(prepare, "_repeats", lambda *_: {})
         every = colorize(volume, [ct.reference], settings(**changes))
-        assert sum(extracted()) == 12 + 1 + 7 + 7
+        assert sum(extracted()) == 2 * (1 + 7) and sum(len(a[1]) for a, _ in matched) == 4 + 7
         np.testing.assert_array_equal(result.rgb, every.rgb)
 
     def test_slices_that_differ_in_one_voxel_are_no_repeats(self, ct):
@@ -273,7 +272,7 @@ class TestReferences:
         plan = make_plan(middle(ct), [ct.reference], settings())
         assert entry(plan, "reference features for every slice").saving == "4 of 5 extractions"
         colorize(middle(ct), [ct.reference], settings(batch=2))
-        assert extracted() == [1] + [1] * 5 + [1] * 5
+        assert extracted() == [1] + [1] * 5
 
     def test_one_slice_has_nothing_to_share(self, ct):
         plan = make_plan(scan(ct.volume.array[4:5]), [ct.reference], settings())
@@ -326,7 +325,7 @@ class TestMatching:
         result = colorize(middle(ct), [ct.reference], settings(preset=preset, batch=1))
         assert {tuple(a[2]) for a, _ in seen} == {(3,)} and result.report["searched"] == {"3": "exact"}
         own = [a for a, _ in by_sums + by_patches if a[0].shape[2:] == (16, 16)]
-        assert [len(a[0]) for a in own] == [1] * (5 + 5)  # for the contrast, and for the colours
+        assert [len(a[0]) for a in own] == [1] * 5  # for the contrast and for the colours
 
     @pytest.mark.parametrize(
         ("preset", "below"), [("draft", "layers 2, 1"), ("balanced", "layers 2, 1"), ("full", None)]
