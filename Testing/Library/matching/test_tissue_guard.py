@@ -52,7 +52,7 @@ class TestColors:
     def test_a_hue_of_a_group_that_the_scan_lacks_appears_nowhere(self, monkeypatch):
         """The yellow insert lies, in the photograph, where the scan has its own insert."""
         upright = Lie("as it is", 1.0, dict.fromkeys(WAYS, 0.0))  # a round body tells no way up
-        monkeypatch.setattr("MedColorLib.run.engine.find_way", lambda *_: upright)
+        monkeypatch.setattr("MedColorLib.run.orient.find_way", lambda *_: upright)
         scene = Scene(strange=True)
         guarded, free = (srgb_to_lab(scene.color(guard).rgb)[..., 2] for guard in (scene.guard(), None))
         assert free.max() > 55 and guarded.max() < BROWN[1] + 5
