@@ -10,7 +10,7 @@ differ little: a picture is not mirrored unless that is clearly better.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -125,6 +125,25 @@ def common_way(lies: Sequence[Lie]) -> Lie:
     return _lie(scores)
 
 
+def mirrored_in_all(lie: Lie, whole: Lie) -> Lie:
+    """How a photograph lies of which some slices say that it is mirrored, where slices of the whole scan were asked, too.
+
+    A slab that begins two slices higher must not exchange left and right. Of a chest whose photograph is not mirrored the whole
+    is ahead by 0.001 where it is mirrored, slabs by 0.006 to 0.014.
+
+    Args:
+        lie: by the slices that are to be coloured. whole: by those of the whole body.
+    """
+    plain = next(way for pair in _PAIRS if lie.way in pair for way in pair if not WAYS[way][1])
+    ahead = np.mean([seen.scores[lie.way] - seen.scores[plain] for seen in (lie, whole)])
+    return lie if plain == lie.way or ahead > _bar(plain) else replace(lie, way=plain)
+
+
+def _bar(plain: str) -> float:
+    """Similarity by which a picture has to be ahead where it is mirrored, that otherwise lies so."""
+    return CLEARLY if plain == "as it is" else MIRRORED
+
+
 def _lie(scores: dict[str, float]) -> Lie:
     """The best way; a picture lies as it is, and is not mirrored, unless another way is clearly better.
 
@@ -134,7 +153,7 @@ def _lie(scores: dict[str, float]) -> Lie:
     pair = next(pair for pair in _PAIRS if best in pair)
     margin = scores[best] - max(score for way, score in scores.items() if way not in pair)
     plain = next(way for way in pair if not WAYS[way][1])
-    if scores[best] <= scores[plain] + (CLEARLY if plain == "as it is" else MIRRORED):
+    if scores[best] <= scores[plain] + _bar(plain):
         best = plain
     if "as it is" not in pair and scores[best] <= scores["as it is"] + TURNED:
         best = "as it is"

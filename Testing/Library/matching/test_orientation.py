@@ -7,7 +7,18 @@ import pytest
 
 from MedColorLib import Settings, Volume, colorize
 from MedColorLib.color.lab import srgb_to_lab
-from MedColorLib.matching.orientation import GUESS, WAYS, choose_way, common_way, find_way, inner_part, laid, turned
+from MedColorLib.matching.orientation import (
+    GUESS,
+    WAYS,
+    Lie,
+    choose_way,
+    common_way,
+    find_way,
+    inner_part,
+    laid,
+    mirrored_in_all,
+    turned,
+)
 from MedColorLib.phantom import section
 from MedColorLib.references.photograph import on_grid, prepare_reference
 from MedColorLib.run.estimate import estimate
@@ -73,6 +84,22 @@ def test_a_series_lies_as_most_of_it(photograph):
         for way in ("upside down",) * 2 + ("as it is",)
     ]
     assert common_way(lies).way in ("upside down", "turned by half")
+
+
+def lie_of(way: str, ahead: float) -> Lie:
+    """One that says so of a picture that lies so, or so but for left and right."""
+    plain = {"mirrored": "as it is", "upside down": "turned by half"}[way]
+    return Lie(way, 0.05, {**dict.fromkeys(WAYS, 0.0), plain: 1.0, way: 1.0 + ahead})
+
+
+@pytest.mark.parametrize("way", ["mirrored", "upside down"])
+def test_mirrored_only_where_the_whole_scan_says_so_too(way):
+    slab = lie_of(way, 0.02)
+    assert mirrored_in_all(slab, lie_of(way, 0.02)) is slab
+    other = mirrored_in_all(slab, lie_of(way, 0.001))
+    assert other.way in ("as it is", "turned by half") and other.scores == slab.scores and other.margin == slab.margin
+    plain = Lie("as it is", 0.05, dict.fromkeys(WAYS, 0.0))
+    assert mirrored_in_all(plain, plain) is plain
 
 
 @pytest.mark.parametrize("way", ["as it is", "upside down", "turned left and mirrored"])
