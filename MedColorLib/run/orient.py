@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..matching.orientation import SURE, WAYS, Lie, common_way, find_way, mirrored_in_all
+from ..matching.orientation import SURE, Lie, common_way, find_way, mirrored_by_both
 from ..scan.slices import sample_slices
 from .on_grid import ReferenceOnGrid
 from .prepare import Prepared
@@ -52,21 +52,20 @@ def turn_references(prepared: Prepared, references: Sequence[ReferenceOnGrid], o
 
 
 def _lies(prepared: Prepared, references: Sequence[ReferenceOnGrid], on_grid: OnGrid, each: Each) -> list[Lie]:
-    """How each lies: seen from the slices asked for and, where these do not tell, from others of the body, too."""
-
-    def seen_from(slices: Sequence[int], lies: Sequence[Lie], doubted: Callable[[Lie], bool]) -> list[Lie]:
-        """How those that are in doubt lie by other slices; the others as they are."""
-        if not any(map(doubted, lies)) or len(slices) == len(prepared.plan.slices):
-            return list(lies)
-        planes = on_grid(sample_slices(slices))
-        return [find_way(*planes, r.grey, r.mask, each) if doubted(lie) else lie for lie, r in zip(lies, references)]
-
+    """How each lies: seen from the slices asked for and, where these do not tell, from those near them, too."""
     planes = on_grid(sample_slices(prepared.plan.slices))
-    lies = [find_way(*planes, r.grey, r.mask, each) for r in references]
-    near = seen_from(_slices_near(prepared), lies, lambda lie: lie.margin <= SURE)
-    lies = [max(both, key=lambda lie: lie.margin) for both in zip(lies, near)]
-    whole = seen_from([int(k) for k in prepared.body.slices], lies, lambda lie: WAYS[lie.way][1])
-    return [mirrored_in_all(*both) for both in zip(lies, whole)]
+    lies = [_lie(r, planes, each) for r in references]
+    near = _slices_near(prepared)
+    if all(lie.margin > SURE for lie in lies) or len(near) == len(prepared.plan.slices):
+        return lies
+    planes = on_grid(sample_slices(near))
+    others = [lie if lie.margin > SURE else _lie(r, planes, each) for lie, r in zip(lies, references)]
+    return [max(both, key=lambda lie: lie.margin) for both in zip(lies, others)]
+
+
+def _lie(reference: ReferenceOnGrid, planes: tuple[np.ndarray, np.ndarray], each: Each) -> Lie:
+    own = reference.grey, reference.mask
+    return mirrored_by_both(find_way(*planes, *own, each), *planes, *own)
 
 
 def _slices_near(prepared: Prepared) -> list[int]:
