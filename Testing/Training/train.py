@@ -1,6 +1,6 @@
 """Train the contrast network on pictures by formula; see README.md beside this file.
 
-    python Testing/Training/train.py --steps 2200 --seed 0 --output MedColorLib/features/contrast_net.safetensors
+    python Testing/Training/train.py --steps 4500 --seed 0 --output MedColorLib/features/contrast_net.safetensors
 
 One thread, float32, everything seeded, steps counted: the same command on the same machine makes the same weights.
 """
@@ -199,7 +199,7 @@ def save(network: ContrastNet, path: Path, seed: int, steps: int) -> None:
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--steps", type=int, default=2200)
+    parser.add_argument("--steps", type=int, default=4500)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--output", type=Path, required=True, help="the safetensors file")
     parser.add_argument("--log", type=Path, help="a JSON file for the log")
