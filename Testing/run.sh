@@ -19,7 +19,9 @@ packages="libegl1 libgl1 libgl1-mesa-dri"
 if command -v dpkg-query >/dev/null 2>&1; then
   missing=""
   for package in $packages; do
-    dpkg-query -W -f='${Status}' "$package" 2>/dev/null | grep -q "install ok installed" || missing="$missing $package"
+    # From Debian 13 and Ubuntu 24.04 on some are named ...t64 (64-bit time); apt-get takes the old name for the new.
+    dpkg-query -W -f='${Status}\n' "$package" "${package}t64" 2>/dev/null | grep -q "install ok installed" ||
+      missing="$missing $package"
   done
   python3 -c "import ensurepip, venv" 2>/dev/null || missing="$missing python3-venv"
   if [ -n "$missing" ]; then
