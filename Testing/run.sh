@@ -51,6 +51,7 @@ install() {
   # shellcheck disable=SC2086
   "$python" -m pip install $quiet --disable-pip-version-check -c Testing/constraints.txt "$@"
 }
+install 'pip>=21.3'  # older ones (Python 3.9's) make no editable installation without a setup.py
 install torch
 if [ "$task" = demo ]; then
   install --editable .
