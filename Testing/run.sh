@@ -13,9 +13,10 @@ esac
 
 say() { echo "==> $*"; }
 
-# System packages: OpenGL without a display (Mesa), and what Qt needs to draw offscreen in the panel tests.
+# System packages: OpenGL without a display (Mesa); what Qt needs to draw offscreen in the panel tests, and CMake to configure
+# the extension.
 packages="libegl1 libgl1 libgl1-mesa-dri"
-[ "$task" = test ] && packages="$packages libxkbcommon0 libdbus-1-3 libfontconfig1 libglib2.0-0 fonts-dejavu-core cmake make"
+[ "$task" = test ] && packages="$packages libxkbcommon0 libdbus-1-3 libfontconfig1 libglib2.0-0 fonts-dejavu-core cmake make g++"
 if command -v dpkg-query >/dev/null 2>&1; then
   missing=""
   for package in $packages; do
