@@ -1,5 +1,5 @@
 #!/bin/sh
-# Set everything up and run the demo or the tests, on a fresh Debian 12 (or any machine with Python 3.10 or later).
+# Set everything up and run the demo or the tests, on a fresh Debian 11, 12 or 13 (or any machine with Python 3.9 to 3.13).
 #   sh Testing/run.sh demo                   colour and render the built-in sample: results in ./demo
 #   sh Testing/run.sh test                   all tests, fast and slow, on as many processes as there are cores, at most four
 #   sh Testing/run.sh test -m 'not slow'     the fast ones; what follows `test` is pytest's
@@ -44,7 +44,7 @@ quiet=--quiet
 if [ -f "$mark" ]; then
   say "Python packages: looking whether .venv is up to date (seconds)"
 else
-  say "Installing Python packages in .venv: 3 GB on disk, PyTorch the most of it; minutes, by the speed of the network"
+  say "Installing Python packages in .venv: 3 GB on disk, or 7 GB where PyTorch comes with CUDA; minutes, by the speed of the network"
   if [ -t 1 ]; then quiet=; fi
 fi
 [ -x "$python" ] || python3 -m venv .venv
