@@ -24,6 +24,8 @@ def followed(path: str | os.PathLike) -> Path:
     """
     try:
         path, target = Path(path), Path(os.path.realpath(path))
+        with contextlib.suppress(FileNotFoundError, NotADirectoryError, PermissionError):
+            os.lstat(target)  # pathlib says of an impossible name that it is not there, in some versions of Python
         is_link, is_file, is_there = target.is_symlink(), target.is_file(), target.exists()
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error

@@ -6,9 +6,9 @@ colours is read as grey.
 
 from __future__ import annotations
 
-import itertools
 import struct
 from collections.abc import Iterator, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -175,25 +175,30 @@ def _voxels(stack: _Stack, max_bytes: int) -> tuple[np.ndarray, set[str]]:
     notes: set[str] = set()
     array = np.empty(0)
     names: list[str] = []
-    planes = itertools.chain.from_iterable(_planes(file, stack, max_bytes, notes) for file in stack.files.files)
-    for number, (name, plane) in enumerate(planes):
-        if plane.ndim != 2:
-            raise InputError(f"{name} holds no picture; save the stack again")
-        if number == 0:
-            check_size((stack.slices, *plane.shape), plane.dtype, max_bytes)
-            array = np.empty((stack.slices, *plane.shape), plane.dtype)
-        if (plane.shape, plane.dtype) != (array.shape[1:], array.dtype):
-            raise InputError(
-                f"slice {name} is {plane.shape[1]} x {plane.shape[0]} {plane.dtype}, {names[0]} "
-                f"is {array.shape[2]} x {array.shape[1]} {array.dtype}; all slices need one size and type"
-            )
-        if number >= len(array):
-            raise InputError(f"{name} has more pages than the header says; save the stack again")
-        array[number] = plane
-        names.append(name)
+    with closing(_all_planes(stack, max_bytes, notes)) as planes:  # what is refused half-way is closed at once, too
+        for number, (name, plane) in enumerate(planes):
+            if plane.ndim != 2:
+                raise InputError(f"{name} holds no picture; save the stack again")
+            if number == 0:
+                check_size((stack.slices, *plane.shape), plane.dtype, max_bytes)
+                array = np.empty((stack.slices, *plane.shape), plane.dtype)
+            if (plane.shape, plane.dtype) != (array.shape[1:], array.dtype):
+                raise InputError(
+                    f"slice {name} is {plane.shape[1]} x {plane.shape[0]} {plane.dtype}, {names[0]} "
+                    f"is {array.shape[2]} x {array.shape[1]} {array.dtype}; all slices need one size and type"
+                )
+            if number >= len(array):
+                raise InputError(f"{name} has more pages than the header says; save the stack again")
+            array[number] = plane
+            names.append(name)
     if len(names) != len(array):
         raise InputError(IS_TRUNCATED)
     return array, notes
+
+
+def _all_planes(stack: _Stack, max_bytes: int, notes: set[str]) -> Iterator[tuple[str, np.ndarray]]:
+    for file in stack.files.files:
+        yield from _planes(file, stack, max_bytes, notes)
 
 
 def _planes(file: Path, stack: _Stack, max_bytes: int, notes: set[str]) -> Iterator[tuple[str, np.ndarray]]:

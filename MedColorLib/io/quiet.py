@@ -6,20 +6,56 @@ import logging
 import os
 import sys
 import tempfile
+import threading
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from functools import wraps
 from pathlib import Path
 
 from ..errors import InputError
 
 
+def _shared(switch: Callable[..., AbstractContextManager]) -> Callable[..., AbstractContextManager]:
+    """Thrown by the first that is inside and put back by the last, in whatever order they leave.
+
+    Files are read by several threads, and a reader that is given up leaves when Python comes to clear it away.
+    """
+    lock = threading.RLock()  # of the kind that clearing away a reader may enter while this very thread holds it
+    inside: dict[tuple, list] = {}
+
+    @wraps(switch)
+    @contextmanager
+    def held(*names: str) -> Iterator[None]:
+        with lock:
+            if names not in inside:
+                thrown = switch(*names)
+                thrown.__enter__()
+                inside[names] = [thrown, 0]
+            inside[names][1] += 1
+        try:
+            yield
+        finally:
+            with lock:
+                inside[names][1] -= 1
+                if not inside[names][1]:
+                    inside.pop(names)[0].__exit__(None, None, None)
+
+    return held
+
+
+def cv2_log():
+    """Where OpenCV keeps how much it says."""
+    import cv2
+
+    return cv2 if hasattr(cv2, "setLogLevel") else cv2.utils.logging  # OpenCV 4, as NumPy 1 needs it; OpenCV 5
+
+
+@_shared
 @contextmanager
 def quiet_cv2() -> Iterator[None]:
     """Keep OpenCV's complaints about damaged files off stderr; they become an `InputError`."""
-    import cv2
-
-    log = cv2 if hasattr(cv2, "setLogLevel") else cv2.utils.logging  # OpenCV 4, as NumPy 1 needs it; OpenCV 5
+    log = cv2_log()
     level = log.getLogLevel()
     log.setLogLevel(0)  # silent
     try:
@@ -28,6 +64,7 @@ def quiet_cv2() -> Iterator[None]:
         log.setLogLevel(level)
 
 
+@_shared
 @contextmanager
 def quiet_itk() -> Iterator[None]:
     """Keep ITK's warnings off stderr."""
@@ -41,6 +78,7 @@ def quiet_itk() -> Iterator[None]:
         sitk.ProcessObject.SetGlobalWarningDisplay(shown)
 
 
+@_shared
 @contextmanager
 def quiet_stderr() -> Iterator[None]:
     """Nothing comes out of the error stream, not from C libraries either: libtiff and OpenJPEG print what they report."""
@@ -60,6 +98,7 @@ def quiet_stderr() -> Iterator[None]:
         os.close(kept)
 
 
+@_shared
 @contextmanager
 def quiet_package(name: str) -> Iterator[None]:
     """Keep what a package (tifffile, pydicom, nibabel, PIL) says of odd files out of the log, and its warnings.
@@ -70,11 +109,18 @@ def quiet_package(name: str) -> Iterator[None]:
     level = logger.level
     logger.setLevel(logging.CRITICAL + 1)
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
+        with _no_warnings():
             yield
     finally:
         logger.setLevel(level)
+
+
+@_shared
+@contextmanager
+def _no_warnings() -> Iterator[None]:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield
 
 
 @contextmanager

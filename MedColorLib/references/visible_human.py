@@ -273,6 +273,7 @@ class _SameHost(urllib.request.HTTPRedirectHandler):
         """See the base class."""
         old, new = urlsplit(req.full_url), urlsplit(newurl)
         if (new.scheme, new.hostname, new.port) != (old.scheme, old.hostname, old.port):
+            fp.close()  # else the connection stays open until Python comes to clear it away
             raise urllib.error.URLError(f"redirected to {new.scheme}://{new.netloc}, which is not followed")
         return super().redirect_request(req, fp, code, msg, headers, newurl)
 

@@ -34,17 +34,21 @@ CUBE_NORMALS_NEED: Replacement = (  # to be replaced before VTK puts its functio
 )
 
 # Free voxels around an air voxel, as `free_air` has written them into red: a ray goes on by whole steps, so that the
-# samples in tissue are the same as without.
+# samples in tissue are the same as without. The voxel itself is read, not between voxels: where a renderer interpolates in
+# 8 bits (Mesa 20), a little green or blue vanishes there, and red tissue would be taken for free air.
+_VOXEL_AT = "texelFetch({0}, min(ivec3({1} * vec3(textureSize({0}, 0))), textureSize({0}, 0) - 1), 0)"
 SKIP_AIR: Replacement = (
     "g_srcColor.a = computeOpacity(scalar);",
-    """g_srcColor.a = computeOpacity(scalar);
+    f"""g_srcColor.a = computeOpacity(scalar);
       if (scalar.a == 0.0 && scalar.g == 0.0 && scalar.b == 0.0)
-        {
+        {{
+        vec4 mcAir = {_VOXEL_AT.format("in_volume[0]", "g_dataPos")};
+        float mcFree = mcAir.a == 0.0 && mcAir.g == 0.0 && mcAir.b == 0.0 ? 255.0 * mcAir.r : 0.0;
         vec3 mcVoxels = abs(g_dirStep) / in_cellStep[0];
-        float mcSteps = floor(255.0 * scalar.r / max(max(mcVoxels.x, mcVoxels.y), mcVoxels.z));
+        float mcSteps = floor(mcFree / max(max(mcVoxels.x, mcVoxels.y), mcVoxels.z));
         g_dataPos += mcSteps * g_dirStep;
         g_currentT += mcSteps;
-        }
+        }}
 """,
 )
 
@@ -64,13 +68,13 @@ END_SOONER: tuple[Replacement, ...] = (
 SHADOWS: tuple[Replacement, ...] = (
     (
         "opacity = computeOpacity(vec4(scalar));",
-        """opacity = computeOpacity(vec4(scalar));
-  vec4 mcAir = scalar == 0.0 ? texture3D(volume, sampled_point) : vec4(1.0);
+        f"""opacity = computeOpacity(vec4(scalar));
+  vec4 mcAir = scalar == 0.0 ? {_VOXEL_AT.format("volume", "sampled_point")} : vec4(1.0);
   if (mcAir.a == 0.0 && mcAir.g == 0.0 && mcAir.b == 0.0)
-    {
+    {{
     vec3 mcVoxels = abs(norm_dir) / in_cellStep[0];
     current_dist += 255.0 * mcAir.r / max(max(mcVoxels.x, mcVoxels.y), mcVoxels.z);
-    }
+    }}
 """,
     ),
     ("while(current_dist < maxdist)", "while(current_dist < maxdist && shadow > 0.02)"),

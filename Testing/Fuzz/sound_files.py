@@ -114,13 +114,14 @@ def make_dicom(folder: Path) -> None:
 def _without_chance(path: Path, number: int) -> None:
     """The same identifiers in every run, so that a case can be repeated."""
     import pydicom
+    from dicom_samples import save
 
     header = pydicom.dcmread(path)
     header.SOPInstanceUID = header.file_meta.MediaStorageSOPInstanceUID = f"1.2.826.{number}"
     for name in ("StudyInstanceUID", "SeriesInstanceUID", "StudyDate", "StudyTime", "FrameOfReferenceUID"):
         if name in header and path.parent.name == "jpeg":
             delattr(header, name)
-    header.save_as(path, enforce_file_format=True)
+    save(header, path)
 
 
 def make_png(folder: Path) -> None:

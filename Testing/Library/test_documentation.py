@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from volume_samples import LPS, save_nrrd
 
 import MedColorLib
 from MedColorLib.cli.options import make_parser
@@ -176,10 +177,8 @@ class TestReadme:
         from MedColorLib.phantom import sample
         from MedColorLib.rendering.sheet import write_png
 
-        nrrd = pytest.importorskip("nrrd")
         monkeypatch.chdir(tmp_path)
-        nrrd.write("scan.nrrd", ct.volume.array.transpose(2, 1, 0)[:, :, 4:7], {"space": "left-posterior-superior",
-                   "space directions": 2 * np.eye(3), "space origin": np.zeros(3)})  # fmt: skip
+        save_nrrd(Path("scan.nrrd"), ct.volume.array[4:7], LPS @ np.diag([2.0, 2.0, 2.0, 1.0]))
         write_png(Path("cryosection.png"), sample()[1])
         (block,) = code_blocks(ROOT / "README.md", "python")
         names: dict = {}

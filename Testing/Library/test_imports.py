@@ -135,6 +135,8 @@ def test_a_plan_of_bad_input_does_not_load_torch():
 def test_no_arrow_runs_back_up():
     """The layers and the ban on circles are contracts of import-linter in pyproject.toml."""
     linter = Path(sys.executable).with_name("lint-imports")
+    if not linter.exists() and sys.version_info < (3, 10):
+        pytest.skip("import-linter 2.6, which knows acyclic siblings, needs Python 3.10")
     done = subprocess.run([linter, "--no-cache"], capture_output=True, encoding="utf-8", cwd=ROOT, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
 

@@ -125,6 +125,30 @@ def test_sdist_has_what_makes_the_wheel(tmp_path_factory):
             "MedColorLib/features/contrast_net.safetensors"} <= names  # fmt: skip
 
 
+def test_every_python_has_one_pin_of_every_package():
+    """Of what the tests need: `Testing/constraints.txt`, for each Python that the classifiers promise."""
+    from packaging.requirements import Requirement
+
+    toml = pytest.importorskip("tomllib" if sys.version_info >= (3, 11) else "tomli")
+    project = toml.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    lines = (ROOT / "Testing" / "constraints.txt").read_text(encoding="utf-8").splitlines()
+    pins = [Requirement(line.partition("#")[0]) for line in lines if line.partition("#")[0].strip()]
+    needed = [Requirement(text) for text in [*project["dependencies"], *project["optional-dependencies"]["test"]]]
+    pythons = re.findall(r":: (3\.\d+)", "\n".join(project["classifiers"]))
+    assert pythons[0] == project["requires-python"].strip(">=") and len(pythons) > 3
+
+    def there(requirements: list, python: str) -> list:
+        environment = {"python_version": python}
+        return [one for one in requirements if one.marker is None or one.marker.evaluate(environment)]
+
+    for python in pythons:
+        pinned = {one.name.lower(): str(one.specifier) for one in there(pins, python)}
+        assert len(pinned) == len(there(pins, python)), f"Python {python}: two pins of one package"
+        for one in there(needed, python):
+            version = pinned[one.name.lower()].partition("==")[2]
+            assert one.specifier.contains(version), f"Python {python}: {one.name} {version} is not {one.specifier}"
+
+
 def test_the_repository_has_one_address_and_one_version():
     texts = {name: (ROOT / name).read_text(encoding="utf-8")
              for name in ("CMakeLists.txt", "pyproject.toml", "CITATION.cff", "Resources/MedColor.json")}  # fmt: skip

@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from inspect import signature
 from pathlib import Path
 
 import numpy as np
 from pydicom.dataset import Dataset, FileMetaDataset
 from pydicom.sequence import Sequence as Items
-from pydicom.uid import EnhancedMRImageStorage, ExplicitVRLittleEndian, MRImageStorage, generate_uid
+from pydicom.uid import (
+    EnhancedMRImageStorage,
+    ExplicitVRBigEndian,
+    ExplicitVRLittleEndian,
+    ImplicitVRLittleEndian,
+    MRImageStorage,
+    generate_uid,
+)
 
 SPACING_MM = (0.75, 0.5)  # along i, along j
 STEP_MM = 3.0
@@ -49,9 +57,17 @@ def classic(plane: np.ndarray, height_mm: float, number: int, series: str = "1.2
     return ds
 
 
-def save(ds: Dataset, path: Path, **options) -> None:
+def save(ds: Dataset, path: Path, *, preamble: bool = True, implicit: bool = False) -> None:
+    """By pydicom 3, or 2 as Python 3.9 needs it. Without `preamble` bare elements, their kinds left `implicit` or not."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    ds.save_as(path, **(options or {"enforce_file_format": True}))
+    if "enforce_file_format" in signature(ds.save_as).parameters:
+        bare = {} if preamble else {"implicit_vr": implicit, "little_endian": True}
+        ds.save_as(path, enforce_file_format=preamble, **bare)
+    else:
+        syntax = ds.file_meta.TransferSyntaxUID if preamble else None
+        ds.is_little_endian = syntax != ExplicitVRBigEndian
+        ds.is_implicit_VR = implicit or syntax == ImplicitVRLittleEndian
+        ds.save_as(path, write_like_original=not preamble)
 
 
 def save_stack(

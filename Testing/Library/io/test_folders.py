@@ -129,7 +129,7 @@ def test_without_preamble_and_file_meta_information(implicit: bool, tmp_path: Pa
     for n, plane in enumerate(A):
         ds = classic(plane, HEIGHTS[n], n + 1)
         del ds.file_meta
-        save(ds, tmp_path / f"IM{n:04}", implicit_vr=implicit, little_endian=True, enforce_file_format=False)
+        save(ds, tmp_path / f"IM{n:04}", preamble=False, implicit=implicit)
     np.testing.assert_array_equal(read_volume(tmp_path).array, A)
 
 

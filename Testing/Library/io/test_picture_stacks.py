@@ -306,7 +306,7 @@ def test_grey_saved_as_colours_is_read_as_grey(kind: str, tmp_path: Path) -> Non
             continue
         picture = Image.fromarray(plane)
         if kind == "palette":
-            picture = Image.fromarray(255 - plane, "P")
+            picture = Image.frombytes("P", plane.shape[::-1], (255 - plane).tobytes())
             picture.putpalette([255 - v for v in range(256) for _ in range(3)])
         elif kind == "grey and alpha":
             picture = Image.merge("LA", [picture, Image.fromarray(alpha)])

@@ -223,7 +223,8 @@ class TestCommandLine:
     )
     def test_refused_in_one_line(self, scene, files, capsys, more, labels, words):
         header = {"kinds": ["list", "domain", "domain", "domain"], "encoding": "raw"}
-        nrrd.write(str(files / "layers.seg.nrrd"), np.zeros((2, *scene.labels.shape[::-1]), np.uint8), header)
+        header.update(dict.fromkeys(("space", "space directions", "space origin")))
+        save_nrrd(files / "layers.seg.nrrd", np.zeros((*scene.labels.shape, 2), np.uint8), **header)
         assert self.run(files, *more, labels=labels) == 2
         error = capsys.readouterr().err.strip().splitlines()
         assert words in error[-1] and not (files / "out.nrrd").exists()

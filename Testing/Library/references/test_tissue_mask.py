@@ -147,7 +147,7 @@ class TestGiven:
         picture, truth = body(BACKGROUNDS["wood"])
         own, path = np.roll(truth, 9, axis=1), tmp_path / "mask.png"
         if kind == "palette":
-            image = Image.fromarray(own.astype(np.uint8), "P")
+            image = Image.frombytes("P", own.shape[::-1], own.astype(np.uint8).tobytes())
             image.putpalette([200, 30, 30, 0, 0, 0])  # the colours say nothing, index 0 is not tissue
             image.save(path)
         else:
