@@ -29,6 +29,10 @@ RETRIES = 2  # after a worker was lost
 CONNECT_SECONDS = 10
 ANSWER_SECONDS = CONNECT_SECONDS / 2  # for the answer to a first question; the other half is for the connection
 
+# Processes are started one by one: two threads that do so at the same time for the first time may meet halves of modules
+# in `multiprocessing` (seen in Python 3.9), and a task would end with an ImportError.
+_STARTING = threading.Lock()
+
 Ended = Iterator[tuple[int, Any]]
 
 
@@ -96,8 +100,10 @@ class _Process:
         """What `work` gave, or the exception it ended with."""
         for _ in range(1 + RETRIES):
             try:
-                self._pool = self._pool or ProcessPoolExecutor(1, self._context, _start_worker, self._start)
-                return self._pool.submit(_in_worker, work, task).result()
+                with _STARTING:
+                    self._pool = self._pool or ProcessPoolExecutor(1, self._context, _start_worker, self._start)
+                    answer = self._pool.submit(_in_worker, work, task)
+                return answer.result()
             except BrokenProcessPool:
                 self._close()
                 if self._stopped():

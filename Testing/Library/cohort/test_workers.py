@@ -12,6 +12,7 @@ import subprocess
 import sys
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -72,6 +73,24 @@ class TestWorkers:
             seen_in(tmp_path) == ["stopped", "stopped", "task0", "task1", "task2"]
             and not multiprocessing.active_children()
         )
+
+    def test_processes_are_started_one_by_one(self, monkeypatch):
+        starting, most = [], []
+
+        class Pool(ThreadPoolExecutor):
+            def __init__(self, *_):
+                super().__init__(1)
+
+            def submit(self, *_):
+                starting.append(1)
+                time.sleep(0.05)
+                most.append(len(starting))
+                starting.pop()
+                return super().submit(str)
+
+        monkeypatch.setattr(batch_workers, "ProcessPoolExecutor", Pool)
+        assert dict(run_processes(threads_of, [None] * 4, 4)) == dict.fromkeys(range(4), "")
+        assert most == [1] * 4
 
     def test_cores_are_shared_out(self, monkeypatch):
         monkeypatch.setattr(batch_workers, "_cores", lambda: 7)
