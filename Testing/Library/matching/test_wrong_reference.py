@@ -39,8 +39,23 @@ def test_head_and_trunk_have_other_proportions():
 
 def test_a_picture_on_its_side_is_compared_upright():
     lying = of(laid(ellipse(0.35, 0.55), "turned left"))
-    assert doubts([TRUNK] * 3, lying, Lie("turned left", 0.05, LEVEL)) == []
+    assert doubts([TRUNK] * 3, lying, Lie("turned left", 0.05, by_quarter(odd=0.09))) == []
     assert doubts([TRUNK] * 3, lying, SURE) != []
+
+
+def by_quarter(odd: float) -> dict[str, float]:
+    """Scores that tell quarter turns, and nothing else."""
+    return {way: odd if quarters % 2 else 0.0 for way, (quarters, _) in WAYS.items()}
+
+
+def test_a_picture_that_seems_to_lie_on_its_side_must_fit_clearly_better_so():
+    """Wood, bread and mosaics fit on their side as well as any other way, right photographs do not."""
+    lying, lie = of(laid(ellipse(0.35, 0.55), "turned left")), Lie("turned left", 0.05, by_quarter(odd=0.06))
+    (why,) = doubts([TRUNK] * 3, lying, lie)
+    assert "one way up" in why
+    assert doubts([TRUNK] * 3, TRUNK, Lie("turned by half", 0.05, by_quarter(odd=-0.06))) == []
+    assert doubts([TRUNK] * 3, lying, lie, best_margin=np.inf) == []  # which way up says nothing
+    assert doubts([TRUNK] * 3, lying, lie, best_margin=0.06) == []  # another one of the series fits better
 
 
 def test_arms_beside_a_trunk_do_not_count_even_where_they_touch():
