@@ -8,6 +8,7 @@ import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 from .errors import DeviceError, MemoryTooSmall
@@ -15,6 +16,7 @@ from .progress import taken_along
 
 if TYPE_CHECKING:
     import torch
+    from threadpoolctl import ThreadpoolController
 
 
 Each = Callable[..., Iterable]  # like the built-in `map`
@@ -71,11 +73,9 @@ class _OneBlasThread:
         self._lock, self._inside, self._limits = threading.Lock(), 0, None
 
     def __enter__(self) -> None:
-        from threadpoolctl import threadpool_limits
-
         with self._lock:
             if not self._inside:
-                self._limits = threadpool_limits(limits=1, user_api="blas")
+                self._limits = _thread_pools().limit(limits=1, user_api="blas")
             self._inside += 1
 
     def __exit__(self, *_error) -> None:
@@ -86,6 +86,14 @@ class _OneBlasThread:
 
 
 _one_blas_thread = _OneBlasThread()
+
+
+@lru_cache(maxsize=1)
+def _thread_pools() -> ThreadpoolController:
+    """Of the libraries that are loaded by now, NumPy's BLAS among them; to look for them takes 5 ms."""
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController()
 
 
 @contextmanager

@@ -80,7 +80,7 @@ def doubts(slices: Sequence[Outline], photograph: Outline, lie: Lie, best_margin
     margin = lie.margin if best_margin is None else best_margin
     least = LEAST_MARGIN if lie.quarter_margin < SURE_QUARTER else LEAST_MARGIN_OF_SURE_QUARTER
     on_its_side = lie.way.startswith(("turned left", "turned right"))
-    if margin < least or (on_its_side and margin == lie.margin and lie.quarter_margin < LEAST_QUARTER):
+    if margin < least or (on_its_side and lie.margin >= margin and lie.quarter_margin < LEAST_QUARTER):
         reasons.append("it looks no more like the scan one way up than another")
     slices = [one for one in slices if one.filled.mean() < _RECTANGLE]  # a field of view without air has no outline
     if not slices:

@@ -186,7 +186,8 @@ class Engine:
             greys, masks = self.slices_on_grid(ks)
             matched = apply_curve(greys, reference.contrast.curve) * masks
         within = None if reference.groups is None else self._within(ks, index, masks)
-        found = stored or self._correspondence(index, greys * masks, matched, masks, within, ks)
+        known = self._found.pop((ks[0], index), None)
+        found = stored or self._correspondence(index, greys * masks, matched, masks, within, known)
         with self.run.timed("matching"):
             own_lab = self._on_device(reference.lab)
             if within is None:
@@ -217,10 +218,9 @@ class Engine:
         own = self.groups_on_grid(ks)
         return WithinGroups(own, masks, reference, groups.missing[index], len(groups), self.device)
 
-    def _correspondence(self, index: int, greys, matched, masks, within: WithinGroups | None, ks) -> Match:
-        """The correspondence of slices ks (N, H, W), in the photograph's contrast where the features see contrast."""
+    def _correspondence(self, index: int, greys, matched, masks, within: WithinGroups | None, known=None) -> Match:
+        """The correspondence of slices (N, H, W), in the photograph's contrast where the features see contrast, unless known."""
         if self.own_features:
-            known = self._found.pop((ks[0], index), None) if len(ks) == 1 and within is None else None
             return known or self._own_match(index, greys, masks, within and within.channels())
         return self._analogy(index, matched, masks, within)
 
@@ -416,7 +416,7 @@ class Engine:
 
         def matched(k: int, grey: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             found = self._own_match(index, (grey * mask)[None], mask[None])
-            if self.apart:
+            if self.apart and reference.groups is None:  # a guard's match is another one
                 self._found[k, index] = found
             colors = matched_colors(found.field, OWN_LAYER, own_lab).permute(0, 2, 3, 1).float().cpu().numpy()
             return seen_luminance(reference.grey, found.field, OWN_LAYER)[0], colors[0]
