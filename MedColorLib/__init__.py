@@ -53,10 +53,10 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:  # what `__getattr__` finds, for type checkers and editors; a test compares the two
     from .cohort.batch import run_batch
     from .filters import fast_global_smoother
-    from .io.files import read_color_volume, read_volume, write_color_volume, write_confidence
+    from .io.files import read_color_volume, read_time_points, read_volume, write_color_volume, write_confidence
     from .matching.tissue_guard import Guard
     from .parameters import Settings
-    from .pipeline import colorize, colorize_time_points, make_plan
+    from .pipeline import colorize, colorize_time_points, make_plan, plan_time_points
     from .plan import Plan
     from .run.resume import Resume, forget_run
     from .volume import ColorVolume, Volume
@@ -77,7 +77,9 @@ _WHERE = {
     "fast_global_smoother": "filters",
     "forget_run": "run.resume",
     "make_plan": "pipeline",
+    "plan_time_points": "pipeline",
     "read_color_volume": "io.files",
+    "read_time_points": "io.files",
     "read_volume": "io.files",
     "run_batch": "cohort.batch",
     "write_color_volume": "io.files",
@@ -96,7 +98,9 @@ __all__ = [
     "fast_global_smoother",
     "forget_run",
     "make_plan",
+    "plan_time_points",
     "read_color_volume",
+    "read_time_points",
     "read_volume",
     "run_batch",
     "write_color_volume",

@@ -49,6 +49,18 @@ def make_plan(
     return prepared.plan
 
 
+def plan_time_points(
+    volumes: Sequence[Volume], references: Sequence, settings: Settings | None = None, guard: Guard | None = None
+) -> list[Plan]:
+    """What `colorize_time_points` would do with each time point, whose matches it takes, and what it would leave out."""
+    from .run.timepoints import Series
+
+    series = Series(volumes, references, settings or Settings(), guard, Run(None, None))
+    for n in range(len(series)):
+        series.say(n)
+    return [prepared.plan for prepared in series.prepared]
+
+
 def colorize(
     volume: Volume,
     references: Sequence,

@@ -10,17 +10,17 @@ from __future__ import annotations
 import logging
 import os
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from ..cohort.terminal import plain, prepare_streams, say, tell
 from ..device import is_out_of_memory
 from ..errors import Cancelled, MedColorError, SettingsError
-from ..output import check_output_path, leftovers
 from ..parameters import Settings
 from .guard_options import guard_of
 from .options import make_parser
+from .outputs import check_named, check_outputs, existing, tell_leftovers, tell_replaced
 from .stopping import Stopped, stoppable
 
 INTERRUPTED = "interrupted; nothing was written"
@@ -95,7 +95,10 @@ def _colorize(arguments) -> None:
 
     settings = replace(_settings(arguments), confidence=arguments.confidence is not None)
     resume = Resume(max_bytes=_resume_bytes(arguments)) if arguments.resume else False
-    former = [] if arguments.plan else _check_outputs(arguments)
+    if arguments.time_points:
+        _colorize_time_points(arguments, settings)
+        return
+    former = [] if arguments.plan else check_outputs(arguments)
     volume, guard = read_volume(arguments.input, volume=arguments.number), guard_of(arguments)
     _say_notes(volume)
     if arguments.plan:
@@ -112,9 +115,8 @@ def _colorize(arguments) -> None:
     if arguments.report:
         write_report(result.report, arguments.report)
     forget_run(result.report, resume)
-    _tell_replaced(former)
-    for credit in sorted({r["credit"] for r in result.report["references"] if r["credit"]}):
-        say(f"References: {credit}.")
+    tell_replaced(former)
+    _say_credits([result.report])
     seconds = result.report["seconds"]["total"]
     resumed = result.report["resumed_slices"]
     if resumed:
@@ -123,6 +125,37 @@ def _colorize(arguments) -> None:
         f"{arguments.output}: {len(result.report['plan']['slices'])} slices with {result.report['plan']['features']} "
         f"features in {seconds:.1f} s. The colours are an illustration, not a measurement."
     )
+
+
+def _colorize_time_points(arguments, settings: Settings) -> None:
+    from ..io.files import file_sha256, read_time_points
+    from .time_points import check_arguments, colorize_series, numbered, plan_lines
+
+    check_arguments(arguments)
+    check_named(arguments)
+    volumes, guard = read_time_points(arguments.input, volume=arguments.number), guard_of(arguments)
+    for note in dict.fromkeys(note for volume in volumes for note in volume.notes):
+        tell(f"{Path(arguments.input).name}: {note}")
+    if arguments.plan:
+        for line in plan_lines(volumes, arguments.reference, settings, guard):
+            say(line)
+        return
+    count, wanted = len(volumes), (arguments.output, arguments.confidence, arguments.report)
+    outputs = [[path and numbered(path, n, count) for path in wanted] for n in range(1, count + 1)]
+    former = [path for paths in outputs for path in check_outputs(arguments, paths)]
+    digest = file_sha256(arguments.input)
+    with _Bar("colouring") as bar:
+        reports = colorize_series(volumes, arguments.reference, settings, guard, outputs, digest, bar)
+    tell_replaced(former)
+    _say_credits(reports)
+    for (path, *_), report in zip(outputs, reports):
+        say(f"{path}: {report['plan']['steps']['time point']}")
+    say(f"{count} time points. The colours are an illustration, not a measurement.")
+
+
+def _say_credits(reports: Sequence[dict]) -> None:
+    for credit in sorted({r["credit"] for report in reports for r in report["references"] if r["credit"]}):
+        say(f"References: {credit}.")
 
 
 def _say_notes(volume) -> None:
@@ -172,73 +205,14 @@ def _print_plan(volume, references, settings, resume, guard) -> None:
     say(f"Colour error to expect: {expected.error_text()}")
 
 
-def _check_outputs(arguments) -> list[Path]:
-    """Refuse what cannot be written or would replace what is read; returns the files that will be replaced."""
-    if not arguments.output:
-        raise SettingsError("colorize: name the result with -o OUT.nrrd (or use --plan)")
-    taken = {_identity(path): role for path, role in _inputs(arguments)}
-    outputs = (
-        (arguments.output, "the result"),
-        (arguments.confidence, "the confidence"),
-        (arguments.report, "the report"),
-    )
-    for path, role in outputs:
-        if not path:
-            continue
-        check_output_path(path, *([(".json",)] if role == "the report" else []))
-        former = taken.setdefault(_identity(path), role)
-        if former != role:
-            raise SettingsError(f"colorize: {path} is {former}; {role} would replace it, name another file")
-    _tell_leftovers(path for path, _ in outputs if path)
-    return existing(path for path, _ in outputs if path)
-
-
-def _inputs(arguments) -> list[tuple[str, str]]:
-    """Files that are read, and what they are; a library's name is none, and does no harm."""
-    pictures = [path for path in arguments.reference_labels or () if path != "-"]
-    return [
-        (arguments.input, "the input"),
-        *((path, "a reference") for path in arguments.reference),
-        *((path, "the label volume") for path in [arguments.labels] if path),
-        *((path, "a label picture") for path in pictures),
-    ]
-
-
-def _identity(path: str | Path) -> tuple:
-    """The same for all names of one file: links are followed, and hard links are one."""
-    try:
-        state = os.stat(path)
-    except OSError:
-        return (os.path.realpath(path),)
-    return (state.st_dev, state.st_ino) if state.st_ino else (os.path.realpath(path),)
-
-
-def existing(paths: Iterable[str | Path]) -> list[Path]:
-    """Those of the paths where a file is now."""
-    return [Path(path) for path in paths if Path(path).is_file()]
-
-
-def _tell_replaced(paths: Iterable[Path]) -> None:
-    for path in paths:
-        tell(f"{path}: the earlier file of this name was replaced")
-
-
-def _tell_leftovers(paths: Iterable[str | Path]) -> None:
-    for path in paths:
-        for left in leftovers(path):
-            tell(
-                f"{left}: left by a run that was killed, or being written now; delete it if nothing else writes {path}"
-            )
-
-
 def _render(arguments) -> None:
     from .pictures import render
 
-    _tell_leftovers(path for path in (arguments.output, arguments.turntable) if path)
+    tell_leftovers(path for path in (arguments.output, arguments.turntable) if path)
     former = existing(path for path in (arguments.output, arguments.turntable) if path)
     for written in render(arguments, _Bar, _say_notes):
         say(written)
-    _tell_replaced(former)
+    tell_replaced(former)
 
 
 def _recommend(arguments) -> None:
@@ -340,7 +314,7 @@ def _demo(arguments) -> None:
     former = set(existing(arguments.output / name for name in FILES))
     with _Bar("demo") as bar:
         written = run_demo(arguments.output, progress=bar)
-    _tell_replaced(path for path in written if path in former)
+    tell_replaced(path for path in written if path in former)
     for path in written:
         say(path)
     tell(WHAT_TO_SEE)
@@ -354,7 +328,7 @@ def _bench(arguments) -> None:
     former = set(arguments.output.iterdir()) if arguments.output.is_dir() else set()
     with _Bar("bench") as bar:
         written = run_bench(arguments.output, **options, progress=bar)
-    _tell_replaced(path for path in written if path in former)
+    tell_replaced(path for path in written if path in former)
     for path in written:
         say(path)
 

@@ -63,6 +63,12 @@ def _add_colorize(commands) -> None:
     add("input", type=file_name, metavar="INPUT", help=text)
     add("-o", "--output", type=file_name, metavar="OUT", help="result: .nrrd or .nii.gz (not needed with --plan)")
     add("--volume", dest="number", type=int, metavar="N", help=_WHICH)
+    add(
+        "--time-points",
+        action="store_true",
+        help="colour all time points of the volume's series: OUT_01.nrrd, OUT_02.nrrd and so on; those that show nearly the "
+        "same are matched once",
+    )
     _add_settings(add, "where the body is: found (default), all of the picture, or a label volume on the input's grid")
     add(
         "--resume",

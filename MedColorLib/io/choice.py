@@ -21,11 +21,13 @@ class Choice:
         label: what it is, without a patient's data.
         size: voxels along i, j, k.
         spacing_mm: along i, j, k; empty: not known.
+        series: the same for what differs in time alone: the time points of one series.
     """
 
     label: str
     size: tuple[int, ...]
     spacing_mm: tuple[float, ...] = ()
+    series: str = ""
 
     def text(self) -> str:
         """Size and label."""
@@ -55,6 +57,19 @@ def pick(choices: Sequence[Choice], number: int | None) -> int:
         there = "there is one volume" if len(choices) == 1 else f"there are volumes 1 to {len(choices)}"
         raise InputError(f"volume {number} is not there: {there}; `medcolor info` lists them")
     return number - 1
+
+
+def time_points(choices: Sequence[Choice], number: int | None) -> list[int]:
+    """Numbers of the volumes of that one's series, in the order of time; counted and chosen as in `pick`.
+
+    Raises:
+        InputError: there is no such volume, or it is the only one of its series.
+    """
+    chosen = choices[pick(choices, number)]
+    found = [n for n, c in enumerate(choices, 1) if (c.series, c.size) == (chosen.series, chosen.size)]
+    if len(found) < 2:
+        raise InputError(f"{chosen.text()} has no other time points; `medcolor info` lists what there is")
+    return found
 
 
 def chosen_note(choices: Sequence[Choice], index: int, number: int | None) -> list[str]:

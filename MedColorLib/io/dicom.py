@@ -89,8 +89,9 @@ def _choice(stack: Stack) -> Choice:
     try:
         grid = grid_of(stack.frames)
     except InputError:
-        return Choice(stack.label, stack.size)
-    return Choice(stack.label, grid.shape[::-1], tuple(np.linalg.norm(grid.ijk_to_ras[:3, :3], axis=0).tolist()))
+        return Choice(stack.label, stack.size, series=stack.series)
+    spacing = tuple(np.linalg.norm(grid.ijk_to_ras[:3, :3], axis=0).tolist())
+    return Choice(stack.label, grid.shape[::-1], spacing, stack.series)
 
 
 def _volume(stack: Stack, max_bytes: int, notes: list[str]) -> Volume:

@@ -51,6 +51,14 @@ _TRAITS: dict[str, tuple] = {
 TRAITS = tuple(_TRAITS)
 CONTRASTS = ("component", "echo", "echo time (ms)", "inversion time (ms)", "b-value")  # never parts of one volume
 TIMES = ("acquisition", "acquisition time", "content time", "reference time (ms)", "trigger time (ms)", "gradient")
+TIME_POINTS = (  # what the time points of one series differ in
+    *(name for name in TIMES if name != "gradient"),
+    "time point",
+    "cardiac phase (%)",
+    "phase",
+    "time slot",
+    "time slice",
+)
 HIDDEN = (
     "acquisition time",
     "content time",

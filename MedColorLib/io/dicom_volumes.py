@@ -20,7 +20,7 @@ from ..errors import InputError
 from .dicom_header import Frame
 from .dicom_pixels import values
 from .dicom_strays import EVEN, is_even, strays
-from .dicom_traits import CONTRASTS, HIDDEN, TIMES, TRAITS
+from .dicom_traits import CONTRASTS, HIDDEN, TIME_POINTS, TIMES, TRAITS
 
 _SAME_DIRECTION = 1e-3  # distance of the direction cosines; headers round them to about 1e-6
 _SAME_SPACING = 1e-3  # relative
@@ -49,6 +49,12 @@ class Stack:
     def label(self) -> str:
         """Modality, series number and the traits that matter."""
         return ", ".join([self.frames[0].label, *(_phrase(name, value) for name, value in self.said.items())])
+
+    @property
+    def series(self) -> str:
+        """The same for the time points of one series, and for nothing else."""
+        same = [f"{name} {value}" for name, value in self.said.items() if name not in TIME_POINTS]
+        return ", ".join([str(self.frames[0].series), *same])
 
     @property
     def size(self) -> tuple[int, int, int]:

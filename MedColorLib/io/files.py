@@ -20,7 +20,7 @@ import numpy as np
 from ..errors import InputError, OutputError
 from ..output import COLOR_ENDINGS, atomic_output, check_output_path
 from ..volume import ColorVolume, Volume
-from .choice import Choice
+from .choice import Choice, chosen_note, time_points
 from .dicom import DICOM_ENDINGS, dicom_choices, is_dicom, read_dicom
 from .folders import FolderContents, files_below, files_in, look_into
 from .metaimage import meta_choices, meta_fields, read_meta_image
@@ -73,6 +73,28 @@ def read_volume(
         read = read_dicom if found.kind == "dicom" else read_picture_folder
         read_one = read(found.files, max_bytes, number=volume)
         return replace(read_one, notes=(*found.notes, *read_one.notes)) if found.notes else read_one
+
+
+def read_time_points(path: str | os.PathLike, *, max_bytes: int = MAX_BYTES, volume: int | None = None) -> list[Volume]:
+    """Read all time points of a series, in the order of time; see `pipeline.colorize_time_points`.
+
+    Args:
+        path, max_bytes: as for `read_volume`; the bytes are those of all together.
+        volume: the number of one of them, where there are several series.
+
+    Raises:
+        InputError: as `read_volume`, and where there is but one time point.
+    """
+    choices, _ = list_volumes(path)
+    with _input_errors(path):
+        numbers = time_points(choices, volume)
+    found: list[Volume] = []
+    for number in numbers:
+        room = max_bytes - sum(one.array.nbytes for one in found)
+        one = read_volume(path, max_bytes=room, volume=number)
+        left_out = chosen_note(choices, number - 1, number)  # which is not so here
+        found.append(replace(one, notes=tuple(note for note in one.notes if note not in left_out)))
+    return found
 
 
 def list_volumes(path: str | os.PathLike) -> tuple[list[Choice], tuple[str, ...]]:

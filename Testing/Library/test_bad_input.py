@@ -126,6 +126,8 @@ def test_references(folder, capfd, name, words):
         (("-o", "ct.nrrd"), "ct.nrrd is the input; the result would replace it"),
         (("-o", "./nothing/../ct.nrrd"), "is the input"),
         (("--confidence", "ct.nrrd"), "ct.nrrd is the input; the confidence would replace it"),
+        (("-o", "ct.nrrd", "--time-points"), "has no other time points"),
+        (("-o", "out.nrrd", "--time-points", "--resume"), "leave it out with --time-points"),
         (("-o", "out.nrrd", "--confidence", "out.nrrd"), "is the result; the confidence would replace it"),
         (("--report", "gone/report.json"), "gone does not exist"),
         (("--report", "report.txt"), "use one of .json"),

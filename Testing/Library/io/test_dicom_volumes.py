@@ -11,10 +11,11 @@ from pydicom.dataset import Dataset
 from pydicom.uid import generate_uid
 
 from MedColorLib.errors import InputError
-from MedColorLib.io.files import list_volumes, read_volume
+from MedColorLib.io.files import list_volumes, read_time_points, read_volume
 
 A = planes()
 B = (5000 - A).astype(np.uint16)
+OF_TIME = ("TemporalPositionIdentifier", "AcquisitionNumber", "AcquisitionTime", "TriggerTime", "FrameReferenceTime")
 HEIGHTS = [STEP_MM * n for n in range(10)]
 
 
@@ -63,6 +64,11 @@ def test_volumes_at_the_same_places_with_the_same_numbers(
 ) -> None:
     both(tmp_path, {trait: values[0]}, {trait: values[1]})
     is_either(tmp_path, words)
+    if trait in OF_TIME:
+        np.testing.assert_array_equal([point.array for point in read_time_points(tmp_path)], [A, B])
+    else:
+        with pytest.raises(InputError, match="has no other time points"):
+            read_time_points(tmp_path)
 
 
 def test_private_b_values_of_the_makers(tmp_path: Path) -> None:
