@@ -157,7 +157,7 @@ PATCHES = {  # rows, columns: forehead and temple
 
 
 def head(kind):
-    """(scan in transverse slices, body mask, threshold, air level, spacing (k, j, i)) of a real head."""
+    """(scan in transverse slices, body mask, threshold, air level, spacing (k, j, i), box) of a real head, cut to the box."""
     from MedColorLib import read_volume
     from MedColorLib.coloring.rim import air_level
     from MedColorLib.scan.body import find_body
@@ -175,7 +175,7 @@ def head(kind):
     rows, cols = (np.flatnonzero(mask.any(axis=axes)) for axes in ((0, 2), (0, 1)))
     box = (slice(None), slice(max(rows[0] - 6, 0), rows[-1] + 7), slice(max(cols[0] - 6, 0), cols[-1] + 7))
     scan, mask = np.ascontiguousarray(scan[box]), np.ascontiguousarray(mask[box])
-    return scan, mask, body.threshold, air_level(scan, mask, body.threshold), spacing
+    return scan, mask, body.threshold, air_level(scan, mask, body.threshold), spacing, box
 
 
 def placed(rgb, spacing):
@@ -194,15 +194,21 @@ def second_difference(picture, rows, cols):
     return float((across**2 + down**2).mean())
 
 
+def grey_picture(scan, mask, air):
+    """(k, j, i, 3) uint8: what Slicer would show of the scan, from air to its brightest tissue."""
+    high = np.percentile(scan[mask], 99.5)
+    grey = np.clip((scan.astype(np.float32) - air) / (high - air), 0, 1)
+    return np.rint(255 * grey)[..., None].repeat(3, axis=-1).astype(np.uint8)
+
+
 @pytest.mark.parametrize("kind", HEADS)
 def test_real_skin_is_as_smooth_as_in_the_grey_rendering(view, scene, kind):
     """In the lightness that a photograph gives: skin is not near black, as it is in a scan whose window shows bone."""
     from MedColorLib.coloring.rim import add_rim
 
-    scan, mask, threshold, air, spacing = head(kind)
-    low, high = air, np.percentile(scan[mask], 99.5)
-    grey = np.clip((scan.astype(np.float32) - low) / (high - low), 0, 1)
-    plain = np.rint(255 * grey)[..., None].repeat(3, axis=-1).astype(np.uint8)
+    scan, mask, threshold, air, spacing, _box = head(kind)
+    plain = grey_picture(scan, mask, air)
+    grey = plain[..., 0] / 255
     cut = np.rint(COLOUR * (0.5 + 0.5 * grey[..., None]) * mask[..., None]).astype(np.uint8)
     rimmed = cut.copy()
     add_rim(rimmed, mask, scan, threshold, air, tuple(spacing))
@@ -221,6 +227,25 @@ def test_real_skin_is_as_smooth_as_in_the_grey_rendering(view, scene, kind):
     for rim, plain_grey in zip(energies["rim"], energies["grey"]):
         assert rim <= 1.2 * plain_grey
     assert sum(energies["cut"]) > 4 * sum(energies["rim"]), "what the rim is for"
+
+
+def test_real_skin_in_real_colours_is_as_smooth_as_in_the_grey_rendering(view, scene):
+    """The colours of a photograph have grain of their own, and the ramp of the rim lies upon it."""
+    from MedColorLib import Settings, colorize, read_volume
+
+    scan, mask, _threshold, air, spacing, box = head("ct")
+    name, part = HEADS["ct"]
+    volume = read_volume(os.path.join(DATA, name))
+    reference = os.path.join(DATA, "vhf_head_cryosection.png")
+    rgb = colorize(volume, [reference], Settings(slices=(part.start, part.stop))).rgb[part][box]
+    energies = []
+    for colours in (np.ascontiguousarray(rgb), grey_picture(scan, mask, air)):
+        node = placed(colours, spacing)
+        picture, _display = shown(view, node, (0.35, 1, 0.1), opacity=0.97)
+        scene.RemoveNode(node)
+        energies.append([second_difference(picture, *patch) for patch in PATCHES["ct"]])
+    print(energies)
+    assert all(real <= 1.2 * grey for real, grey in zip(*energies))
 
 
 def test_normals_are_smoother_than_vtks_own(view, scene):
