@@ -17,7 +17,7 @@ from .device import memory_errors
 from .errors import MemoryTooSmall
 from .parameters import Settings
 from .plan import LeftOut, Plan
-from .progress import Progress, Run
+from .progress import Progress, Run, check
 from .run.patient import report_body
 from .run.prepare import Prepared, prepare
 from .volume import ColorVolume, Volume
@@ -177,9 +177,9 @@ def _color_prepared(
         if not like:
             engine.learn_elsewhere()
         painter = _color_slices(prepared, engine, rgb, confidence, run, each)
-    with run.timed("rim"):
-        run.step(0.99, "border of the body")
-        rim_voxels = _add_rim(prepared, rgb, run)
+        with run.timed("rim"):
+            run.step(0.99, "border of the body")
+            rim_voxels = _add_rim(prepared, rgb, each)
     run.step(1.0, "done")
     _leave_out(prepared.plan, store.resumed_slices if store else 0)
     report = {**_report(prepared, engine, run, painter), "rim_voxels": rim_voxels, **_resumed(store)}
@@ -212,7 +212,7 @@ def _color_slices(
     return painter
 
 
-def _add_rim(prepared: Prepared, rgb: np.ndarray, run: Run) -> int:
+def _add_rim(prepared: Prepared, rgb: np.ndarray, each: device.Each) -> int:
     """Give the border of the body in `rgb` (k, j, i, 3) the scan's own ramp; returns the number of voxels."""
     from .coloring.rim import add_rim, air_level
     from .run.paint import PaintedMasks
@@ -234,7 +234,8 @@ def _add_rim(prepared: Prepared, rgb: np.ndarray, run: Run) -> int:
         air,
         tuple(prepared.volume.spacing_mm[::-1][list(prepared.order.axes)]),
         np.isin(planes, may_change),
-        lambda: run.step(0.99, "border of the body"),
+        check,
+        each,
     )
 
 

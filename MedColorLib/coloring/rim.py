@@ -12,13 +12,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from itertools import product
+from typing import TYPE_CHECKING
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from ..device import Each
 
 INSIDE, OUTSIDE = 2, 3  # voxels that take part on either side of the border
 _FADE = (1.0, 0.8, 0.45)  # most of the ramp that is left in the first, second, third voxel outside
 _FULLEST = 1.5  # a voxel may hold more than the mean around it
-_SLAB_VOXELS = 2_500_000  # of the body's boxes, done together, about 30 bytes each
+_SLAB_VOXELS = 2_500_000  # of the body's boxes in one slab, about 30 bytes each
+_AT_ONCE = 2  # slabs, if there are threads for them
 _SLAB_SLICES = 32  # at most: more save little, and memory would grow with the stack
 _MARGIN = OUTSIDE + INSIDE + 2  # pixels around the body's box
 _THICK = 2.0  # slices so many times farther apart than pixels are no neighbours
@@ -53,6 +58,7 @@ def add_rim(
     spacing_mm: tuple[float, float, float] = (1.0, 1.0, 1.0),
     slices: np.ndarray | None = None,
     check: Callable[[], None] = lambda: None,
+    each: Each = map,
 ) -> int:
     """Give the border of tissue the scan's own ramp, in place.
 
@@ -66,6 +72,7 @@ def add_rim(
         spacing_mm: (k, j, i). Along an axis of more than twice the smallest spacing nothing goes on.
         slices: (k,) bool, which may be changed; None: all.
         check: called again and again; may raise to stop.
+        each: does slabs of slices side by side; see `device.side_by_side`.
 
     Returns:
         How many voxels were changed.
@@ -73,25 +80,35 @@ def add_rim(
     spacing = np.asarray(spacing_mm, dtype=np.float64)
     reach = tuple(bool(n) for n in spacing <= _THICK * spacing.min())
     halo = INSIDE + OUTSIDE + 1 if reach[0] else 0
-    count = min(max(4, _SLAB_VOXELS // _box_area(mask) - 2 * halo), _SLAB_SLICES)
-    waiting, changed = [], 0
-    for start in range(0, len(rgb), count):
+    least = max(4, halo)  # a slab looks into its neighbours, not beyond them
+    count = min(max(least, _SLAB_VOXELS // _box_area(mask) - 2 * halo), _SLAB_SLICES)
+
+    def ramped(start: int):
         check()
-        low, high = max(start - halo, 0), min(start + count + halo, len(rgb))
-        masks = np.stack([mask[k] for k in range(low, high)])
-        if not masks.any():
-            continue
-        box = _box(masks, _MARGIN)
-        level = np.stack([_level(values[k][box], threshold, air) for k in range(low, high)])
-        inside = (slice(None), *box)
-        new, where = _ramped(rgb[low:high][inside], masks[inside], level, reach, check)
-        if slices is not None:
-            where[~slices[low:high]] = False
-        own = slice(start - low, min(start + count, len(rgb)) - low)
-        waiting.append((slice(start, start + count), box, new[own].copy(), where[own].copy()))
-        if len(waiting) > 1:  # the slab before is no longer needed as it was
-            changed += _put(rgb, *waiting.pop(0))
-    return changed + sum(_put(rgb, *last) for last in waiting)
+        return _slab(rgb, mask, values, (start, start + count), halo, threshold, air, reach, slices, check)
+
+    starts, last, changed = range(0, len(rgb), count), None, 0
+    for n in range(0, len(starts), _AT_ONCE):
+        *done, newest = [last, *each(ramped, starts[n : n + _AT_ONCE])]
+        changed += sum(_put(rgb, *slab) for slab in done if slab)
+        last = newest  # those that come next look at it as it was
+    return changed + (_put(rgb, *last) if last else 0)
+
+
+def _slab(rgb, mask, values, ends: tuple[int, int], halo: int, threshold, air, reach, slices, check) -> tuple | None:
+    """(its slices, rows and columns, new colours, where they count) of some slices; None where there is no body."""
+    low, high = max(ends[0] - halo, 0), min(ends[1] + halo, len(rgb))
+    masks = np.stack([mask[k] for k in range(low, high)])
+    if not masks.any():
+        return None
+    box = _box(masks, _MARGIN)
+    level = np.stack([_level(values[k][box], threshold, air) for k in range(low, high)])
+    inside = (slice(None), *box)
+    new, where = _ramped(rgb[low:high][inside], masks[inside], level, reach, check)
+    if slices is not None:
+        where[~slices[low:high]] = False
+    own = slice(ends[0] - low, min(ends[1], len(rgb)) - low)
+    return slice(*ends), box, new[own].copy(), where[own].copy()
 
 
 def _level(values: np.ndarray, threshold: float, air: float) -> np.ndarray:

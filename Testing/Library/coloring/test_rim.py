@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 
@@ -101,8 +103,10 @@ def test_bright_skin_is_not_darkened_by_what_lies_below():
     assert rgb[skin].mean() > 0.93 * before
 
 
-@pytest.mark.parametrize("slab", [6, 9, 40])
-def test_slabs_do_not_show(monkeypatch, slab):
+@pytest.mark.parametrize("at_once", [1, 2, 3])
+@pytest.mark.parametrize("slab", [1, 6, 9, 40])
+def test_slabs_do_not_show(monkeypatch, slab, at_once):
+    """Of any height, and side by side."""
     from MedColorLib.coloring import rim
 
     _, scan = ball()
@@ -111,7 +115,9 @@ def test_slabs_do_not_show(monkeypatch, slab):
     monkeypatch.setattr(rim, "_SLAB_SLICES", 100)
     add_rim(whole, mask, scan, HALF, AIR)
     monkeypatch.setattr(rim, "_SLAB_VOXELS", (slab + 2 * (INSIDE + OUTSIDE + 1)) * rim._box_area(mask))
-    add_rim(parts, mask, scan, HALF, AIR)
+    monkeypatch.setattr(rim, "_AT_ONCE", at_once)
+    with ThreadPoolExecutor(3) as pool:
+        add_rim(parts, mask, scan, HALF, AIR, each=pool.map)
     np.testing.assert_array_equal(parts, whole)
 
 
