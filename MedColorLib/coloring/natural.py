@@ -26,6 +26,7 @@ _RASTER = 240  # pixels of the box's longer side to which `cell_px` refers
 _NOISE_RADIUS_PX, _NOISE_DEVIATION = 2, 0.01  # square and least deviation of display grey that count as noise
 # Deviations of the slice's own noise that do. Chest CT: no specks of fat in the liver; fewer leave some, four cost detail.
 _NOISE_SIGMAS = 3.0
+_COARSEST = 2.0  # times the noise of pixels: noise of twice their size; white noise has there what it has here
 _AIR_GREY = 0.03  # display grey below which noise is not looked for
 _LAPLACIANS = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32) / 6  # of white noise: its deviation
 _MEDIAN_OF_NORMAL = 0.6745  # median of |x| of a normal distribution of deviation 1
@@ -64,13 +65,21 @@ def _mean_of_tissue(own: np.ndarray, reference: np.ndarray, mask: np.ndarray) ->
     return regression.predict(regression.solve(sums, tissues), guide, mask=mask)[..., 0]
 
 
-def without_noise(grey: np.ndarray) -> np.ndarray:
-    """Display grey 0..1 (rows, cols) as float32, noise smoothed and edges kept: a guided filter of itself (He et al. 2013).
+def without_noise(grey: np.ndarray, coarse: float = 0.0) -> np.ndarray:
+    """Tones 0..1 (rows, cols) as float32, noise smoothed and edges kept: a guided filter of itself (He et al. 2013).
 
     Where colour depends steeply on grey, noise would become colour.
+
+    Args:
+        coarse: deviation up to which noise may be coarser than a pixel, as in CT after its reconstruction; 0 for MR, where what
+            is that coarse is anatomy.
     """
     grey = grey.astype(np.float32)
-    deviation = max(_NOISE_DEVIATION, _NOISE_SIGMAS * noise_sigma(grey))
+    sigma = noise_sigma(grey)
+    deviation = max(_NOISE_DEVIATION, _NOISE_SIGMAS * sigma)
+    if deviation < coarse and min(grey.shape) > 1:
+        of_two = _NOISE_SIGMAS * min(2 * noise_sigma(_halved(grey)), _COARSEST * sigma)
+        deviation = max(deviation, min(of_two, coarse))
     around = _mean_of_square(grey)
     variance = np.maximum(_mean_of_square(grey * grey) - around * around, 0)
     slope = variance / (variance + np.float32(deviation**2))
@@ -88,6 +97,12 @@ def noise_sigma(grey: np.ndarray) -> float:
     left = cv2.filter2D(grey, cv2.CV_32F, _LAPLACIANS)[::2, ::2]
     inside = np.abs(left[grey[::2, ::2] > _AIR_GREY])
     return float(np.median(inside)) / _MEDIAN_OF_NORMAL if inside.size else 0.0
+
+
+def _halved(values: np.ndarray) -> np.ndarray:
+    """Means of 2 x 2 pixels."""
+    rows, cols = (n // 2 * 2 for n in values.shape)
+    return values[:rows, :cols].reshape(rows // 2, 2, cols // 2, 2).mean(axis=(1, 3), dtype=np.float32)
 
 
 def _mean_of_square(values: np.ndarray) -> np.ndarray:

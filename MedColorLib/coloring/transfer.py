@@ -25,7 +25,7 @@ from ..color.lab import gray_to_lightness, lab_to_srgb, lightness_to_gray, srgb_
 from ..filters import FILTERS, FgsParameters, regression, smoother_parameters
 from ..parameters import AVERAGING
 from ..scan.grid import MARGIN, from_grid
-from ..scan.intensity import apply_curve
+from ..scan.intensity import AS_SHOWN, Window, apply_curve
 from .natural import natural_lightness, without_noise
 from .one_tissue import one_tissue
 from .tints import tinted
@@ -36,8 +36,8 @@ if TYPE_CHECKING:
 # Beside the regression, on half the grid: one iteration. Mean CIEDE2000 on 15 pairs, VGG-19 and embedded: 1.905 and 1.936;
 # three iterations of twice the strength 1.923 and 1.985.
 REMAINDER = FgsParameters(lam=2.0, sigma=30.0, iterations=1)
-# Of the remainder of natural lightness: the photograph's edges lie beside the scan's wherever a match is a little off.
-LIGHTNESS_SHARE = 0.7
+# Of the remainder where a grey is one tissue: the photograph's edges lie beside the scan's wherever a match is a little off.
+OWN_SHARE = 0.7
 EVERY = 2  # each so many-th row and column of the grid is a witness of colour and grey: 0.006 CIEDE2000 more than all
 # A witness so far (CIE76) from what its neighbourhood says of its grey counts exp(-1/2): Welsch's weights, in so many turns.
 # Without: CT 122 4.8, worst 10.6 instead of 4.5 and 9.5; muscle of the chest CT 17.2 instead of 15.5; front against back of a
@@ -68,6 +68,7 @@ class TransferParameters:
         tints: hue of the photograph by lightness, of `tints.tints_of`, for natural luminance without gamma; None: detail
             changes no hue.
         elsewhere: what all the scan says of grey and colour where a grey is one tissue; see `one_tissue`.
+        window: of the scan; the greys here are its tones, and the scan's own lightness is that of its display.
     """
 
     smoother: str
@@ -80,6 +81,7 @@ class TransferParameters:
     doubts_outliers: bool = False
     tints: np.ndarray | None = None
     elsewhere: np.ndarray | None = None
+    window: Window = AS_SHOWN
 
     @property
     def first_channel(self) -> int:
@@ -247,7 +249,8 @@ def combine(
     """X + S(w (T' - X)) / S(w) at full resolution: (n, 3) L* a* b* of the mask's pixels, row by row.
 
     Beside the regression the remainder counts as far as the matches around can be trusted, min(S(w), 1) times; where a grey is
-    one tissue, that of natural lightness LIGHTNESS_SHARE min(S(w), 1)^2 times. S runs at half the grid's resolution: the same
+    one tissue, with natural luminance, (OWN_SHARE min(S(w), 1))^2 times that: what matches that find no tissue say of
+    single places is blotches. S runs at half the grid's resolution: the same
     error on the pairs as at full resolution.
 
     Args:
@@ -262,10 +265,10 @@ def combine(
         smoothed = FILTERS["fgs"](rest, guide_of(_resized(grey, rest.shape[:2]), parameters), REMAINDER)
         believed = np.minimum(smoothed[..., -1:], 1) / np.maximum(smoothed[..., -1:], 1e-12)
         if parameters.luminance == "natural":
-            trusted = np.float32(LIGHTNESS_SHARE) * np.minimum(smoothed[..., -1], 1)
-            smoothed[..., 0] *= 1 - np.float32(parameters.one_tissue) * (1 - trusted)
+            trusted = np.float32(OWN_SHARE) * np.minimum(smoothed[..., -1], 1)
+            smoothed[..., :-1] *= np.square(1 - np.float32(parameters.one_tissue) * (1 - trusted))[..., None]
         change = _resized(smoothed[..., :-1] * believed, grey.shape)[mask]
-        read = without_noise(grey) if parameters.luminance == "natural" else grey
+        read = without_noise(grey, parameters.window.coarse_noise) if parameters.luminance == "natural" else grey
         guess = regression.predict(relation, 255 * _spread(read, parameters), within, mask)
         change[..., -guess.shape[-1] :] += guess
     return _out_of_transfer(grey, mask, change, parameters, saturation)
@@ -329,7 +332,9 @@ def _spread(grey: np.ndarray, parameters: TransferParameters) -> np.ndarray:
 
 def _lightness(grey: np.ndarray, parameters: TransferParameters) -> np.ndarray:
     """L* of the slice in the space of the transfer."""
-    return gray_to_lightness(gamma_encode(grey.astype(np.float64), _GAMMA if parameters.gamma else 1.0))
+    return gray_to_lightness(
+        gamma_encode(parameters.window.shown(grey).astype(np.float64), _GAMMA if parameters.gamma else 1.0)
+    )
 
 
 def _difference(matched: np.ndarray, grid_grey: np.ndarray, parameters: TransferParameters, first: int) -> np.ndarray:
@@ -369,5 +374,5 @@ def _out_of_transfer(
     if parameters.gamma:
         lab = srgb_to_lab(gamma_decode(np.clip(lab_to_srgb(lab), 0, 1), _GAMMA))
         if parameters.luminance == "keep":  # exact again: clipping before decoding may have moved it
-            lab[:, 0] = gray_to_lightness(grey[mask].astype(np.float64))
+            lab[:, 0] = gray_to_lightness(parameters.window.shown(grey[mask]).astype(np.float64))
     return lab

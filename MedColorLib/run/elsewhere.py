@@ -6,6 +6,8 @@ the colour of fat. In the chest of the same scan the matches know fat from muscl
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -34,18 +36,22 @@ def relation_elsewhere(engine: Engine, count: int = SLICES) -> tuple[np.ndarray 
     if engine.one_tissue(0.0, told=True) == 0 or engine.prepared.groups is not None or len(used) > 1:
         return None, 0
     prepared = engine.prepared
-    few = engine.match_ahead(
-        sample_slices([k for k in prepared.plan.slices if k not in prepared.repeats], min(FEW, count)), *used
-    )
+    few = engine.match_ahead(list(_asked(engine, prepared.plan.slices, min(FEW, count))), *used)
     if not any(engine.one_tissue(trust.trusted_fraction, told=True) for *_, (trust,) in few):
         return None, 0
     parameters = engine.transfer_parameters()
-    others = [int(k) for k in prepared.body.slices if k not in prepared.repeats]
+    others = _asked(engine, prepared.body.slices, count)
 
-    def told(matched: tuple) -> tuple[np.float32, np.ndarray]:
+    def told(matched: tuple, times: int) -> tuple[np.float32, np.ndarray]:
         grey, mask, lab, (trust,) = matched
-        share = np.float32(trust.trusted_fraction**POWER)
+        share = np.float32(times * trust.trusted_fraction**POWER)
         return share, share * layers_of(relation_sums(SliceMatch(lab[0], grey[0], mask[0], trust), parameters))
 
-    shares, sums = zip(*engine.each(told, engine.match_ahead(sample_slices(others, count), *used)))
-    return (sum(sums) / sum(shares), min(count, len(others))) if sum(shares) > 0 else (None, 0)
+    shares, sums = zip(*engine.each(told, engine.match_ahead(list(others), *used), others.values()))
+    return (sum(sums) / sum(shares), len(others)) if sum(shares) > 0 else (None, 0)
+
+
+def _asked(engine: Engine, slices: Sequence[int], count: int) -> dict[int, int]:
+    """Slice -> how often it counts, of at most so many, evenly spread: a slice that repeats another is not matched again."""
+    repeats = engine.prepared.repeats
+    return Counter(repeats.get(int(k), int(k)) for k in sample_slices(list(slices), count))

@@ -319,6 +319,7 @@ class Engine:
             self._own_relation,
             self.tints if settings.luminance == "natural" and not settings.resolved_gamma else None,
             self.elsewhere,
+            self.prepared.window,
         )
 
     def learn_elsewhere(self, count: int | None = None) -> None:

@@ -196,7 +196,8 @@ class LiveSlices:
 
         parameters = self._engine.transfer_parameters(look.lightness)
         values = np.take(self._view, number, axis=seen)
-        grey, mask = apply_window(values, self._prepared.window), self._body_across(seen, number, values)
+        window = self._prepared.window
+        grey, mask = window.tone(apply_window(values, window)), self._body_across(seen, number, values)
         out = np.zeros((*values.shape, 3), np.uint8)
         if not mask.any():
             return out

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..device import Each
 from ..scan.grid import from_grid
+from ..scan.intensity import AS_SHOWN, Window
 from .engine import Engine
 from .prepare import Prepared
 
@@ -77,7 +78,9 @@ class Painter:
         self._frames = dict(zip(chosen, frames(self._boxes[chosen], spacing, sigma)))
         self._region = prepared.region[1:]
         self._last, self._each = None, each
-        self._passing = None if self._weighs else PassingColors(engine.choice, plan.slices, spacing, sigma)
+        self._passing = (
+            None if self._weighs else PassingColors(engine.choice, plan.slices, spacing, sigma, prepared.window)
+        )
 
     def add(self, ks: Sequence[int], matches) -> None:
         """Colour what can be coloured now that slices `ks` are matched; None: the same match as the slice before."""
@@ -190,13 +193,23 @@ class PassingColors:
     how alike the greys are. All other slices go through as they are.
     """
 
-    def __init__(self, choice: Mapping[int, int], slices: Sequence[int], spacing_mm: float, sigma_mm: float) -> None:
-        """Args: choice: slice -> index of its reference, of these slices at least. Others as for `coherence.SliceAverage`."""
+    def __init__(
+        self,
+        choice: Mapping[int, int],
+        slices: Sequence[int],
+        spacing_mm: float,
+        sigma_mm: float,
+        window: Window = AS_SHOWN,
+    ) -> None:
+        """Args:
+        choice: slice -> index of its reference, of these slices at least. window: of the scan, whose tones the greys are.
+        Others as for `coherence.SliceAverage`."""
         from ..coloring.coherence import SliceAverage, shares_near_changes
 
         self._shares = shares_near_changes({k: choice[k] for k in slices}, spacing_mm, sigma_mm)
         self._colors = SliceAverage(list(self._shares), spacing_mm, sigma_mm)
         self._waiting: dict[int, SliceMatch] = {}
+        self._window = window
 
     def add(self, found: dict[int, SliceMatch]) -> Iterator[tuple[int, SliceMatch]]:
         """Add slices, in order; yields (slice, its match) for each that can be coloured now."""
@@ -207,7 +220,7 @@ class PassingColors:
             self._waiting[k] = match
             weight = match.mask[..., None].astype(np.float32)
             witnesses = np.concatenate([match.lab * weight, weight], -1)
-            for ready, total in self._colors.push(k, witnesses, 255 * match.grey):
+            for ready, total in self._colors.push(k, witnesses, 255 * self._window.shown(match.grey)):
                 own = self._waiting.pop(ready)
                 mean = total[..., :-1] / np.maximum(total[..., -1:], 1e-6)
                 share = np.float32(self._shares[ready]) * own.mask[..., None]

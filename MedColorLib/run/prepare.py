@@ -16,9 +16,10 @@ from ..plan import LeftOut, Plan
 from ..progress import check
 from ..references.loading import describe_references, load_references
 from ..references.photograph import Reference
+from ..scan.air import in_hounsfield
 from ..scan.body import Body
 from ..scan.grid import Grid, choose_grid
-from ..scan.intensity import Window, check_values, choose_window
+from ..scan.intensity import Window, check_values, choose_window, of_hounsfield
 from ..scan.planes import PlaneBlocks, planes_of
 from ..scan.slices import SliceOrder, sample_slices, slice_order
 from ..volume import Volume
@@ -122,7 +123,8 @@ def _chosen_slices(body: Body, settings: Settings, order: SliceOrder, shape: tup
 def _window(view, body, chosen, volume, settings) -> Window:
     sample = sample_slices(chosen, 24)
     masks = np.stack([body.plane(k) > 0.5 for k in sample])
-    return choose_window(view[sample], masks if masks.any() else None, settings.window, volume.window)
+    window = choose_window(view[sample], masks if masks.any() else None, settings.window, volume.window)
+    return of_hounsfield(window) if in_hounsfield(view) else window
 
 
 def _repeats(views: Sequence[np.ndarray], chosen: list[int]) -> dict[int, int]:
@@ -151,7 +153,7 @@ def _plan(volume, settings, order, view, body, chosen, window, references, grid,
     gamma = "1/2 and 2" if settings.resolved_gamma else "off"
     steps = {
         "volume": f"{volume.name}, {shape} (k, j, i) {volume.array.dtype.name}; {order.describe()}",
-        "window": f"{window.low:g} to {window.high:g} ({window.source})",
+        "window": window.describe(),
         "body": describe_body(body, len(chosen)),
         "references": describe_references(references),
         "features": f"{NETWORKS[features]}{auto}, {layers}, raster {grid.height} x {grid.width}, on {device}",

@@ -120,6 +120,12 @@ def _no_air(scale: Scale) -> Air:
     return Air(scale, -np.inf, -np.inf, -np.inf, -np.inf, None, False, text)
 
 
+def in_hounsfield(array: np.ndarray) -> bool:
+    """Whether the values of a scan (k, j, i) are Hounsfield units."""
+    scale, sample = measured_scale(array)
+    return scale.low != scale.high and _is_hounsfield(sample)
+
+
 def _is_hounsfield(sample: np.ndarray) -> bool:
     """Air at -1000 and soft tissue near 0; or, without air, mostly soft tissue with fat below 0, not clipped there."""
     lowest = np.percentile(sample, 0.5)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,13 +14,70 @@ _SAMPLE_LIMIT = (
 )
 
 
+# In CT fat and muscle are 150 HU apart, bone and air 2000: in a window that shows all, features and the relation of colour and
+# grey can hardly tell fat from muscle. These values get at least this share of the greys that both work with.
+SOFT_TISSUE_HU, SOFT_TISSUE_SHARE = (-250.0, 400.0), 0.6
+FAT_TO_MUSCLE_HU = 150.0
+
+
 @dataclass(frozen=True)
 class Window:
-    """Values from `low` (shown black) to `high` (shown white), and where they come from."""
+    """Values from `low` (shown black) to `high` (shown white), and where they come from.
+
+    Attributes:
+        tones: rising display greys 0..1, and as many tones 0..1: what matching and the relation of colour and grey see instead.
+            Empty: the display grey itself.
+        hounsfield: whether the values are Hounsfield units.
+    """
 
     low: float
     high: float
     source: str
+    tones: tuple[tuple[float, ...], tuple[float, ...]] | tuple[()] = ()
+    hounsfield: bool = False
+
+    def describe(self) -> str:
+        """One line for the plan."""
+        text = f"{self.low:g} to {self.high:g} ({self.source})"
+        if self.tones:
+            low, high = SOFT_TISSUE_HU
+            text += f"; {100 * SOFT_TISSUE_SHARE:.0f} % of the greys that are matched are soft tissue, {low:g} to {high:g} HU"
+        return text
+
+    @property
+    def coarse_noise(self) -> float:
+        """In CT a third of what lies between fat and muscle, in tones: up to there noise is looked for that is coarse; else 0."""
+        if not self.hounsfield:
+            return 0.0
+        low, high = SOFT_TISSUE_HU
+        slope = SOFT_TISSUE_SHARE / (high - low) if self.tones else 1 / (self.high - self.low)
+        return FAT_TO_MUSCLE_HU / 3 * slope
+
+    def tone(self, grey: np.ndarray) -> np.ndarray:
+        """Tones float32 of display grey 0..1."""
+        return np.interp(grey, *self.tones).astype(np.float32) if self.tones else grey
+
+    def shown(self, tone: np.ndarray) -> np.ndarray:
+        """Display grey float32 of tones 0..1."""
+        return np.interp(tone, *self.tones[::-1]).astype(np.float32) if self.tones else tone
+
+
+AS_SHOWN = Window(0.0, 1.0, "display grey")
+
+
+def of_hounsfield(window: Window) -> Window:
+    """The window of a scan in Hounsfield units: with tones, where soft tissue has too little room in it."""
+    window = replace(window, hounsfield=True)
+    halves = np.array(SOFT_TISSUE_HU) / 2 - window.low / 2  # the difference of extremes stays finite
+    ends = np.clip(halves / (window.high / 2 - window.low / 2), 0, 1)
+    share = float(ends[1] - ends[0])
+    if not 0 < share < SOFT_TISSUE_SHARE:
+        return window
+    low = float(ends[0]) * (1 - SOFT_TISSUE_SHARE) / (1 - share)
+    knots = np.array([(0, 0), (ends[0], low), (ends[1], low + SOFT_TISSUE_SHARE), (1, 1)])
+    knots = knots[np.append(np.diff(knots[:, 0]) > 0, True)]  # where soft tissue reaches an end, the end stands once
+    greys, tones = knots.T.tolist()
+    return replace(window, tones=(tuple(greys), tuple(tones)))
 
 
 def strided(array: np.ndarray, limit: int = _SAMPLE_LIMIT, mask: np.ndarray | None = None) -> np.ndarray:

@@ -78,14 +78,14 @@ def slice_in_box(view: np.ndarray, body: Body, window: Window, k: int) -> tuple[
         view: (slice, row, column) scalars, as `SliceOrder.view` gives them.
 
     Returns:
-        Display grey 0..1 and coverage by the body 0..1, both (rows, cols) float32.
+        Tones 0..1 and coverage by the body 0..1, both (rows, cols) float32.
     """
     j0, j1, i0, i1 = body.boxes[k]
-    return apply_window(view[k, j0:j1, i0:i1], window), body.plane(k)[j0:j1, i0:i1]
+    return window.tone(apply_window(view[k, j0:j1, i0:i1], window)), body.plane(k)[j0:j1, i0:i1]
 
 
 def slice_on_grid(view: np.ndarray, body: Body, window: Window, grid: Grid, k: int) -> tuple[np.ndarray, np.ndarray]:
-    """Display grey 0..1, black outside the body, and body mask of slice k on the grid, both (H, W)."""
+    """Tones 0..1, black outside the body, and body mask of slice k on the grid, both (H, W)."""
     grey, cover = slice_in_box(view, body, window, k)
     mask = to_grid(cover, grid) > 0.5
     return to_grid(grey * (cover > 0.5), grid) * mask, mask

@@ -97,8 +97,25 @@ def test_much_noise_is_smoothed_as_well_as_little():
     assert max(left) < 0.35 and left[1] == pytest.approx(left[0], rel=0.15)
 
 
+def test_coarse_noise_of_ct_is_smoothed_where_it_may_be_and_edges_stay():
+    """Noise as a kernel leaves it, two pixels wide; an edge as between fat and muscle."""
+    from scipy.ndimage import gaussian_filter
+
+    noise = gaussian_filter(np.random.default_rng(7).normal(0, 1, (80, 80)), 0.7)
+    noise *= 0.02 / noise.std()
+    edge = np.where(np.arange(80) < 40, 0.40, 0.54).astype(np.float32)
+    picture = (edge + noise).astype(np.float32)
+    fine, coarse = without_noise(picture), without_noise(picture, 0.046)
+    left = [float((smooth - edge)[4:-4, 4:30].std()) for smooth in (fine, coarse)]
+    assert left[1] < 0.75 * left[0]
+    assert coarse[:, 45:50].mean() - coarse[:, 30:35].mean() > 0.13
+    np.testing.assert_array_equal(without_noise(picture, 1e-4), fine)
+
+
 @pytest.mark.parametrize("shape", [(1, 1), (1, 40), (3, 2)])
 def test_any_shape(shape):
     got = natural(np.full(shape, 50.0), np.full(shape, 70.0), np.ones(shape, bool), 1.0)
     assert got.shape == shape and np.isfinite(got).all()
-    assert np.isfinite(without_noise(np.full(shape, 0.5))).all()
+    assert (
+        np.isfinite(without_noise(np.full(shape, 0.5))).all() and np.isfinite(without_noise(np.eye(*shape), 1.0)).all()
+    )

@@ -161,22 +161,22 @@ def test_same_equation_with_the_regression_for_the_guess():
     assert np.abs(expected - guess).max() > 0.1
 
 
-def test_natural_lightness_takes_a_share_of_the_remainder_and_colour_all_of_it(monkeypatch):
+def test_natural_lightness_takes_a_share_of_the_remainder(monkeypatch):
     """Where a grey is one tissue. The less the matches are trusted the less of it: edges lie a little beside the scan's."""
     grey, mask, _ = arguments()
     match = match_of(matched_two(to_grid(grey, GRID)) + np.random.default_rng(1).normal(0, 3, (64, 64, 3)), grey)
-    parameters = TransferParameters("regression", "natural", False, one_tissue=1.0)
 
-    def with_share(share, trust=1.0):
-        monkeypatch.setattr("MedColorLib.coloring.transfer.LIGHTNESS_SHARE", share)
+    def with_share(share, trust=1.0, luminance="natural"):
+        monkeypatch.setattr("MedColorLib.coloring.transfer.OWN_SHARE", share)
         doubtful = replace(match, trust=Trust(match.mask * np.float32(trust), 0.0, None))
-        return transfer_lab(grey, mask, doubtful, parameters)
+        return transfer_lab(grey, mask, doubtful, TransferParameters("regression", luminance, False, one_tissue=1.0))
 
     none, some, all_of_it = with_share(0.0), with_share(0.7), with_share(1.0)
-    np.testing.assert_array_equal(none[..., 1:], all_of_it[..., 1:])
-    changes = [np.abs(lab - none)[..., 0].mean() for lab in (some, all_of_it)]
-    assert 0.05 < changes[0] < 0.9 * changes[1]
-    assert np.abs(with_share(1.0, 0.5) - with_share(0.0, 0.5))[..., 0].mean() < 0.5 * changes[1]
+    for channels in (np.s_[..., :1], np.s_[..., 1:]):
+        changes = [np.abs(lab - none)[channels].mean() for lab in (some, all_of_it)]
+        assert 0.02 < changes[0] < 0.9 * changes[1]
+        assert np.abs(with_share(1.0, 0.5) - with_share(0.0, 0.5))[channels].mean() < 0.5 * changes[1]
+    np.testing.assert_array_equal(with_share(0.0, luminance="keep"), with_share(1.0, luminance="keep"))
 
 
 class TestOutliers:

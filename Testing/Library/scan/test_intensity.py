@@ -10,7 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from MedColorLib.errors import InputError, SettingsError
+from MedColorLib.scan.air import in_hounsfield
 from MedColorLib.scan.intensity import (
+    AS_SHOWN,
+    SOFT_TISSUE_HU,
+    SOFT_TISSUE_SHARE,
     Window,
     apply_curve,
     apply_window,
@@ -18,6 +22,7 @@ from MedColorLib.scan.intensity import (
     choose_window,
     finite_sample,
     histogram_match_curve,
+    of_hounsfield,
     spreading_curve,
     strided,
 )
@@ -157,6 +162,41 @@ class TestApplyWindow:
     def test_no_width_is_a_step(self):
         got = apply_window(np.array([-1, 5, 5.1, INF, NAN]), Window(5, 5, ""))
         np.testing.assert_array_equal(got, [0, 0, 1, 1, 0])
+
+
+class TestTones:
+    """CT in Hounsfield units: soft tissue has room in what is matched, whatever the window shows."""
+
+    @pytest.mark.parametrize(
+        ("low", "high"), [(-1000, 1500), (-250, 2000), (-100, 3000), (-2000, 300), (-1e300, 1e300), (500, 900)]
+    )
+    def test_there_and_back(self, low, high):
+        window, grey = of_hounsfield(Window(low, high, "")), np.linspace(0, 1, 2001)
+        tones = window.tone(grey)
+        assert (tones[0], tones[-1]) == (0, 1) and (np.diff(tones) >= 0).all()
+        np.testing.assert_allclose(window.shown(tones), grey, atol=2e-6)
+
+    @pytest.mark.parametrize(("low", "high"), [(-1000, 1500), (-250, 2000), (-100, 3000), (-2000, 300)])
+    def test_soft_tissue_has_its_share_and_the_rest_keeps_its_proportions(self, low, high):
+        window = of_hounsfield(Window(low, high, ""))
+        ends = np.clip(SOFT_TISSUE_HU, low, high)
+        below, above = window.tone(apply_window(ends, window))
+        assert above - below == pytest.approx(SOFT_TISSUE_SHARE, abs=1e-6)
+        assert below * (high - ends[1]) == pytest.approx((1 - above) * (ends[0] - low), abs=1e-3)
+        assert window.coarse_noise == pytest.approx(0.6 * 50 / 650)
+
+    @pytest.mark.parametrize(("low", "high"), [(-160, 240), (-400, 500), (500, 900), (-1e300, 1e300)])
+    def test_a_window_of_soft_tissue_or_of_none_stays(self, low, high):
+        window, grey = of_hounsfield(Window(low, high, "")), np.linspace(0, 1, 11)
+        assert window.tone(grey) is grey and window.shown(grey) is grey and "matched" not in window.describe()
+
+    def test_other_scans_are_matched_as_shown(self):
+        assert not AS_SHOWN.tones and AS_SHOWN.coarse_noise == 0
+
+    def test_units_are_told(self, ct, mr):
+        assert in_hounsfield(ct.volume.array)
+        for other in (mr.volume.array, 3 * ct.volume.array, ct.volume.array + 1024, np.zeros((2, 3, 3))):
+            assert not in_hounsfield(other)
 
 
 class TestHistogramMatch:
