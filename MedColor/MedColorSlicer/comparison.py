@@ -6,7 +6,7 @@ import json
 
 import slicer
 
-from . import rendering, rendering_show, view_fit
+from . import light, rendering, rendering_show, three_d_views
 from . import scene as nodes
 
 _GREY_ATTRIBUTE = "MedColor.Grey"  # on the grey copy: MedColor made it, and removes it again
@@ -26,10 +26,11 @@ def show(grey_node, color_node, fade: float = 1.0):
         rendering_show.show(color_node)
         return None
     color_view, grey_view = views
+    light.spread(scene)  # the layout may have made the second view just now
     rendering_show.show(color_node, [color_view])
     _show_grey(grey_node, grey_view, color_node)
     _link_cameras(scene, color_view, grey_view)
-    view_fit.render_again()
+    three_d_views.render_again()
     return color_view, grey_view
 
 
@@ -46,7 +47,7 @@ def hide(grey_node, color_node, restore_layout: bool = True) -> None:
         _remove_copy(copy)
     if color_node is not None and rendering.display_node_of(color_node):
         rendering.display_node_of(color_node).RemoveAllViewNodeIDs()
-    view_fit.render_again()
+    three_d_views.render_again()
 
 
 def is_laid_out(scene) -> bool:

@@ -10,7 +10,7 @@ import slicer
 import vtk
 from slicer.util import VTKObservationMixin
 
-from . import rendering, view_fit
+from . import rendering, three_d_views, view_fit
 
 CUTS = ["none", "slice", "box"]
 _RED = "vtkMRMLSliceNodeRed"
@@ -98,7 +98,7 @@ def _place_box(roi, bounds) -> None:
 
 
 def _side_of_viewer(scene, matrix) -> float:
-    camera = scene.GetFirstNodeByClass("vtkMRMLCameraNode")
+    camera = three_d_views.camera_of(scene, next(iter(three_d_views.shown_views()), None))
     if camera is None:
         return 1.0
     position = camera.GetPosition()

@@ -11,7 +11,7 @@ import time
 
 import slicer
 
-from . import rendering
+from . import rendering, three_d_views
 
 _ATTRIBUTE = "MedColor.Light"  # on a view node: "realistic" or "plain"; absent: never asked
 _PATIENCE_SECONDS = 0.1  # a view that takes longer to draw stays with the plain lamp unless asked
@@ -34,7 +34,18 @@ def is_on(scene) -> bool:
 
 def switch(scene, realistic: bool) -> None:
     """Realistic or plain light in all 3-D views."""
-    for view in views(scene):
+    _light(scene, views(scene), realistic)
+
+
+def spread(scene) -> None:
+    """Views that a layout made since take the light of the others."""
+    new = [view for view in views(scene) if not view.GetAttribute(_ATTRIBUTE)]
+    if new and is_on(scene):
+        _light(scene, new, True)
+
+
+def _light(scene, some_views, realistic: bool) -> None:
+    for view in some_views:
         with slicer.util.NodeModify(view):
             view.SetAttribute(_ATTRIBUTE, "realistic" if realistic else "plain")
             if hasattr(view, "SetVolumeRenderingSurfaceSmoothing"):  # jittered rays: no wood grain on flat surfaces
@@ -82,26 +93,20 @@ def _displays(scene) -> list:
     return [node for node in found if node.GetAttribute(rendering.OPACITY_ATTRIBUTE) and node.GetVolumePropertyNode()]
 
 
-def _three_d_views() -> list:
-    manager = slicer.app.layoutManager()
-    widgets = [manager.threeDWidget(index) for index in range(manager.threeDViewCount if manager else 0)]
-    return [widget.threeDView() for widget in widgets if widget]
-
-
 def _mappers(display) -> list:
-    """What draws a display, one for each 3-D view that it is seen in."""
+    """What draws a display, one for each 3-D view that it may be seen in."""
     volume = display.GetDisplayableNode()
-    managers = [view.displayableManagerByClassName(_MANAGER) for view in _three_d_views()]
+    managers = [view.displayableManagerByClassName(_MANAGER) for view in three_d_views.all_views()]
     mappers = [manager.GetVolumeMapper(volume) for manager in managers if manager and volume]
     return [mapper for mapper in mappers if mapper]
 
 
 def _seconds_per_frame():
-    """How long the first 3-D view takes to draw; None without a view."""
-    views_shown = _three_d_views()
-    if not views_shown:
+    """How long the first 3-D view takes to draw; None without a view, or while none can be drawn."""
+    view = next(iter(three_d_views.shown_views()), None)
+    if view is None or not view.visible:
         return None
-    views_shown[0].forceRender()  # the first frame compiles shaders and hands the voxels over
+    view.forceRender()  # the first frame compiles shaders and hands the voxels over
     start = time.monotonic()
-    views_shown[0].forceRender()
+    view.forceRender()
     return time.monotonic() - start

@@ -5,7 +5,7 @@ from __future__ import annotations
 import slicer
 from slicer.i18n import tr as _
 
-from . import comparison, cut, light, rendering, view_fit
+from . import comparison, cut, light, rendering, three_d_views, view_fit
 
 
 class DisplayPart:
@@ -63,6 +63,7 @@ class DisplayPart:
 
     def onSceneChanged(self) -> None:
         """Nodes came, went or changed; the views may have been arranged anew."""
+        light.spread(slicer.mrmlScene)
         if self._compared is None:
             return
         grey, color = (node if _present(node) else None for node in self._compared)
@@ -151,8 +152,7 @@ class DisplayPart:
 
     @staticmethod
     def _without_view() -> str:
-        manager = slicer.app.layoutManager()
-        if manager is None or manager.threeDViewCount == 0:
+        if not three_d_views.shown_views():
             return _("There is no 3-D view; choose a layout that has one.")
         return ""
 

@@ -6,6 +6,7 @@ import math
 
 import slicer
 
+from . import three_d_views
 from .scene import ijk_to_world
 
 _MARGIN = 1.08
@@ -52,17 +53,14 @@ def fit_slices(scene, bounds) -> None:
         view.SetFieldOfView(height * columns / max(rows, 1), height, view.GetFieldOfView()[2])
 
 
-def look(scene, bounds, direction: str = "front", views=None) -> None:
-    """Cameras of the 3-D views (all, or those given) at a body, from one of `DIRECTIONS`."""
+def look(scene, bounds, direction: str = "front") -> None:
+    """The cameras of all 3-D views at a body, from one of `DIRECTIONS`."""
     towards, up = DIRECTIONS[direction]
     length = math.sqrt(sum(part * part for part in towards))
     centre = [(bounds[2 * axis] + bounds[2 * axis + 1]) / 2 for axis in range(3)]
     radius = 0.5 * math.dist(bounds[::2], bounds[1::2])
-    names = None if views is None else [view.GetLayoutName() for view in views]
     for n in range(scene.GetNumberOfNodesByClass("vtkMRMLCameraNode")):
         camera = scene.GetNthNodeByClass(n, "vtkMRMLCameraNode")
-        if names is not None and camera.GetLayoutName() not in names:
-            continue
         # the ball around the body is larger than the body: at 0.8 of its radius nothing is cut off
         distance = 0.8 * radius / math.sin(math.radians(camera.GetViewAngle()) / 2)
         camera.SetFocalPoint(*centre)
@@ -70,14 +68,4 @@ def look(scene, bounds, direction: str = "front", views=None) -> None:
         camera.SetViewUp(*up)
         camera.SetParallelScale(0.8 * radius)
         camera.ResetClippingRange()
-    render_again()
-
-
-def render_again() -> None:
-    """Draw every 3-D view anew: those that were hidden meanwhile do not notice what changed."""
-    manager = slicer.app.layoutManager()
-    for index in range(manager.threeDViewCount if manager else 0):
-        widget = manager.threeDWidget(index)
-        view = widget.threeDView() if widget else None
-        if view is not None:
-            view.scheduleRender()
+    three_d_views.render_again()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import slicer
-from host_fixtures import SIZE, SOLID, color_node, grey_node, look, sides, two_colors
+from host_fixtures import SIZE, SOLID, color_node, grey_node, layout_of, look, sides, two_colors, view_widget
 
 
 def test_comparison_shows_grey_and_color_in_linked_views(host, view, second_view, rendering, rendering_show):
@@ -108,20 +108,16 @@ def test_grey_half_shows_the_body_alone_and_as_bright_as_the_colours(
 
 def test_second_comparison_draws_the_views_again(host, view, second_view, rendering, monkeypatch):
     """A view that was hidden while the other one was turned does not notice by itself."""
-    import types
-
     from MedColorSlicer import comparison
 
-    drawn = []
-    three_d_view = types.SimpleNamespace(scheduleRender=lambda: drawn.append(True))
-    widget = types.SimpleNamespace(threeDView=lambda: three_d_view)
-    manager = types.SimpleNamespace(threeDViewCount=2, threeDWidget=lambda _index: widget)
-    monkeypatch.setattr(slicer.app, "layoutManager", lambda: manager)
+    views = [view_widget(name, visible=False) for name in "21"]  # not yet visible: the layout is new
+    monkeypatch.setattr(slicer.app, "layoutManager", layout_of(*views))
     color, grey = color_node(two_colors()), grey_node(shape=(48, 48, 48))
     for _time in range(2):
-        drawn.clear()
+        for each in views:
+            each.asked.clear()
         comparison.show(grey, color)
-        assert len(drawn) >= 2
+        assert all(each.asked for each in views)
         comparison.hide(grey, color)
 
 

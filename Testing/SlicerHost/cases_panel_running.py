@@ -7,7 +7,7 @@ import types
 
 import pytest
 import slicer
-from host_fixtures import color_node, grey_node, label_node, node_ids, two_colors
+from host_fixtures import color_node, grey_node, label_node, layout_of, node_ids, two_colors, view_widget
 from panel_fixtures import shown
 
 # --- running ---------------------------------------------------------------------------------------------------------
@@ -293,15 +293,14 @@ def test_display_controls(ready):
     assert not ui.opacitySlider.enabled
 
 
-@pytest.mark.parametrize(("views", "words"), [(0, "no 3-D view"), (1, "")])
+@pytest.mark.parametrize(
+    ("views", "words"),
+    [((), "no 3-D view"), (({"visible": False},), "no 3-D view"), (({"visible": False}, {"name": "2"}), "")],
+    ids=["none", "hidden by the layout", "one of two hidden"],
+)
 def test_a_missing_view_is_said(ready, monkeypatch, views, words):
     """The window is not asked about OpenGL: that of Slicer's views always says no, for nobody tells it."""
-    view = types.SimpleNamespace(
-        forceRender=lambda: None, scheduleRender=lambda: None, displayableManagerByClassName=lambda _name: None
-    )
-    widget = types.SimpleNamespace(threeDView=lambda: view)
-    manager = types.SimpleNamespace(threeDViewCount=views, threeDWidget=lambda _index: widget)
-    monkeypatch.setattr(slicer.app, "layoutManager", lambda: manager)
+    monkeypatch.setattr(slicer.app, "layoutManager", layout_of(*(view_widget(**each) for each in views)))
     ready.parameters.outputVolume = color_node(two_colors(16, 6), "result")
     ready.ui.show3DCheckBox.click()
     assert words in ready.ui.statusLabel.text

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import slicer
 import vtk
-from host_fixtures import LEFT, RIGHT, SIZE, SOLID, color_node, look, sides, two_colors
+from host_fixtures import LEFT, RIGHT, SIZE, SOLID, color_node, layout_of, look, sides, two_colors, view_widget
 
 
 def unshaded(rendering, node):
@@ -239,16 +239,12 @@ def test_hidden_volume_property_is_not_shared(rendering, rendering_show):
 
 def test_self_test_of_the_3d_view_passes_here_too(host, view, rendering, monkeypatch):
     """The method that looks at Slicer's own view, with this view in its place."""
-    import types
-
     from MedColorSlicer.selftest import MedColorTest
 
-    three_d_view = types.SimpleNamespace(
+    widget = view_widget(
         mrmlViewNode=lambda: view.node, renderWindow=lambda: view.window, forceRender=view.window.Render
     )
-    widget = types.SimpleNamespace(threeDView=lambda: three_d_view)
-    manager = types.SimpleNamespace(threeDViewCount=1, threeDWidget=lambda _index: widget)
-    monkeypatch.setattr(slicer.app, "layoutManager", lambda: manager)
+    monkeypatch.setattr(slicer.app, "layoutManager", layout_of(widget))
     monkeypatch.setattr(view, "background", (0.0, 0.0, 0.0))
     view.renderer.GetActiveCamera().SetParallelProjection(False)
     view.renderer.GetActiveCamera().SetViewAngle(30)

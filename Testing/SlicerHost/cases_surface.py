@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import os
-import types
 
 import mrml
 import numpy as np
 import pytest
 import slicer
-from host_fixtures import color_node
+from host_fixtures import color_node, layout_of, view_widget
 
 SIZE = 160
 DATA = os.environ.get("MEDCOLOR_DATA") or os.path.join(mrml.REPOSITORY, "..", "shared", "data")
@@ -94,13 +93,8 @@ def in_the_layout(view, monkeypatch):
         managers = [view.group.GetNthDisplayableManager(n) for n in range(view.group.GetDisplayableManagerCount())]
         return next(manager for manager in managers if manager.IsA(name))
 
-    three_d_view = types.SimpleNamespace(
-        displayableManagerByClassName=manager_named, forceRender=view.window.Render, scheduleRender=lambda: None
-    )
-    widget = types.SimpleNamespace(threeDView=lambda: three_d_view)
-    manager = types.SimpleNamespace(threeDViewCount=1, threeDWidget=lambda _index: widget)
-    monkeypatch.setattr(slicer.app, "layoutManager", lambda: manager)
-    return manager
+    widget = view_widget(displayableManagerByClassName=manager_named, forceRender=view.window.Render)
+    monkeypatch.setattr(slicer.app, "layoutManager", layout_of(widget))
 
 
 def test_realistic_light_has_shadows_and_is_as_bright(view, scene, in_the_layout):

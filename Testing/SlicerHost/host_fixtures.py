@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import sys
 import time
+import types
 
 import numpy as np
 import pytest
@@ -188,6 +189,34 @@ def two_colors(size=48, radius=18, left=LEFT, right=RIGHT):
     rgb[inside & (i < center)] = left
     rgb[inside & (i > center)] = right
     return rgb
+
+
+def layout_of(*views):
+    """The layout manager of a Slicer with these 3-D views, in this order, as `slicer.app.layoutManager` gives it."""
+    manager = types.SimpleNamespace(
+        threeDViewCount=len(views), threeDWidget=lambda n: types.SimpleNamespace(threeDView=lambda: views[n])
+    )
+    return lambda: manager
+
+
+def view_widget(name="1", visible=True, mapped=None, **more):
+    """A 3-D view of Slicer's window; `drawn` holds what was drawn, which is nothing while it is hidden.
+
+    Args:
+        mapped: whether the layout has it; as `visible` by default.
+        more: attributes in place of the stand-in's.
+    """
+    import slicer
+
+    node = slicer.vtkMRMLViewNode()
+    node.SetLayoutName(name)
+    node.SetMappedInLayout(visible if mapped is None else mapped)
+    view = types.SimpleNamespace(visible=visible, drawn=[], asked=[], mrmlViewNode=lambda: node)
+    view.forceRender = lambda: view.drawn.append(name) if view.visible else None
+    view.scheduleRender = lambda: view.asked.append(name)
+    view.displayableManagerByClassName = lambda _name: None
+    vars(view).update(more)
+    return view
 
 
 def node_ids(scene):
