@@ -19,8 +19,10 @@ from .selftest_samples import (
     RIGHT,
     StandIn,
     grey_node,
+    leave_panel,
     logic,
     opacity_curve_of,
+    open_panel,
     picture_node,
     picture_now,
     picture_of,
@@ -156,6 +158,8 @@ class MedColorTest(ScriptedLoadableModuleTest):
         self.assertEqual(picture_of(view, result).max(), 0)
 
     def test_comparison_layout(self):
+        from MedColorSlicer import three_d_views
+
         manager = slicer.app.layoutManager()
         if manager is None:
             self.skipTest("no main window, so there is no layout; run without --no-main-window")
@@ -165,15 +169,18 @@ class MedColorTest(ScriptedLoadableModuleTest):
         self.assertNotEqual(color_view.GetID(), grey_view.GetID())
         self.assertEqual(manager.layout, slicer.vtkMRMLLayoutNode.SlicerLayoutDual3DView)
         slicer.app.processEvents()
-        for index in range(2):
-            picture = picture_now(manager.threeDWidget(index).threeDView())
-            self.assertGreater(picture.std(), 1.0, f"3-D view {index + 1} shows nothing")
+        views = three_d_views.shown_views()
+        self.assertEqual([view.mrmlViewNode() for view in views], [color_view, grey_view])
+        for view in views:
+            self.assertGreater(picture_now(view).std(), 1.0, f"{view.mrmlViewNode().GetName()} shows nothing")
         logic().hideComparison(grey, result)
         self.assertEqual(manager.layout, before)
 
     # --- panel ---------------------------------------------------------------------------------------------------
 
     def test_panel_apply_preview_and_display(self):
+        from MedColorSlicer import rendering, three_d_views
+
         panel = self._panel()
         self.assertFalse(panel.ui.applyButton.enabled)
         self.assertTrue(panel.ui.applyButton.toolTip)
@@ -193,11 +200,9 @@ class MedColorTest(ScriptedLoadableModuleTest):
             [n for n in slicer.util.getNodesByClass("vtkMRMLVectorVolumeNode") if "preview" in n.GetName()]
         )
         self.assertTrue(panel.ui.show3DCheckBox.checked, "the result is shown at once")
-        if slicer.app.layoutManager() and slicer.app.layoutManager().threeDViewCount:
+        if three_d_views.shown_views():
             self.assertIn("Done", panel.ui.statusLabel.text)  # nothing was found wrong with the view
         panel.ui.opacitySlider.value = 0.5
-        from MedColorSlicer import rendering
-
         self.assertAlmostEqual(rendering.opacity_of(result), 0.5)
         panel.ui.resetRenderingButton.click()
         panel.ui.compareCheckBox.click()
@@ -322,8 +327,9 @@ class MedColorTest(ScriptedLoadableModuleTest):
     def test_panel_survives_scene_close_leave_and_return(self):
         panel = self._panel()
         slicer.mrmlScene.Clear(0)
-        panel.exit()
-        panel.enter()
+        leave_panel()
+        self.assertIsNone(panel.parameters)
+        self._panel()
         self.assertFalse(panel.ui.applyButton.enabled)
 
     # --- the whole way -------------------------------------------------------------------------------------------
@@ -365,15 +371,16 @@ class MedColorTest(ScriptedLoadableModuleTest):
         return StandIn(seconds)
 
     def _panel(self):
-        panel = slicer.modules.medcolor.widgetRepresentation().self()
-        panel.enter()
-        return panel
+        self.addCleanup(leave_panel)
+        return open_panel()
 
     def _three_d_view(self):
-        manager = slicer.app.layoutManager()
-        if manager is None or manager.threeDViewCount == 0:
-            self.skipTest("no 3-D view; run without --no-main-window")
-        return manager.threeDWidget(0).threeDView()
+        from MedColorSlicer import three_d_views
+
+        views = three_d_views.shown_views()
+        if not views:
+            self.skipTest("no 3-D view; run without --no-main-window, in a layout that has one")
+        return views[0]
 
     def _assert_both_colors(self, picture):
         import numpy as np

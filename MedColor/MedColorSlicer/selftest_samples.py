@@ -59,6 +59,25 @@ def logic():
     return MedColorLogic()
 
 
+def open_panel():
+    """The module's panel, opened as the user does it; without a window as Slicer's module manager would."""
+    representation = slicer.modules.medcolor.widgetRepresentation()
+    if slicer.util.mainWindow():
+        slicer.util.selectModule("MedColor")
+    elif not representation.isEntered:
+        representation.enter()
+    return representation.self()
+
+
+def leave_panel():
+    """As the user does it, by choosing another module."""
+    representation = slicer.modules.medcolor.widgetRepresentation()
+    if slicer.util.mainWindow():
+        slicer.util.selectModule("Data")
+    elif representation.isEntered:
+        representation.exit()
+
+
 def raise_value_error():
     raise ValueError("made by the test")
 

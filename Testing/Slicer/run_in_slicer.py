@@ -27,7 +27,6 @@ def take_screenshots(folder):
     slicer.mrmlScene.Clear(0)
     slicer.util.selectModule("MedColor")
     samples.load_phantom()
-    slicer.modules.medcolor.widgetRepresentation().self().enter()
     slicer.app.processEvents()
     for widget, name in (
         (slicer.modules.medcolor.widgetRepresentation(), "panel-in-slicer.png"),
