@@ -10,6 +10,7 @@ from __future__ import annotations
 import time
 
 import slicer
+import vtk
 
 from . import rendering, three_d_views
 
@@ -50,7 +51,7 @@ def _light(scene, some_views, realistic: bool) -> None:
             view.SetAttribute(_ATTRIBUTE, "realistic" if realistic else "plain")
             if hasattr(view, "SetVolumeRenderingSurfaceSmoothing"):  # jittered rays: no wood grain on flat surfaces
                 view.SetVolumeRenderingSurfaceSmoothing(bool(realistic))
-            if hasattr(view, "SetShadowsVisibility"):
+            if hasattr(view, "SetShadowsVisibility") and _shadows_know_volumes():
                 view.SetShadowsVisibility(bool(realistic))
                 view.SetAmbientShadowsSizeScale(0.3)
             if hasattr(view, "SetAmbientShadowsVolumeOpacityThreshold"):
@@ -85,6 +86,11 @@ def first_time(scene) -> None:
     seconds = _seconds_per_frame()
     if seconds is not None:
         switch(scene, seconds < _PATIENCE_SECONDS)
+
+
+def _shadows_know_volumes() -> bool:
+    """An older pass for ambient shadows (seen: VTK 9.1 as Debian has it) leaves volumes out of the picture altogether."""
+    return hasattr(getattr(vtk, "vtkSSAOPass", None), "SetVolumeOpacityThreshold")
 
 
 def _displays(scene) -> list:

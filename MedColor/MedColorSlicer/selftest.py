@@ -14,6 +14,7 @@ import slicer
 import vtk
 from slicer.ScriptedLoadableModule import ScriptedLoadableModuleTest
 
+from .selftest_nodes import NodeCases
 from .selftest_samples import (
     LEFT,
     RIGHT,
@@ -33,7 +34,7 @@ from .selftest_samples import (
 TOLERANCE = 8  # levels of 255
 
 
-class MedColorTest(ScriptedLoadableModuleTest):
+class MedColorTest(NodeCases, ScriptedLoadableModuleTest):
     """Each method is one test; `runTest` runs them all, as Slicer's button does."""
 
     def runTest(self):

@@ -15,7 +15,7 @@ class StandIn:
     """In place of MedColorLib.colorize and of the package check: quick, cancellable, and able to fail half way."""
 
     def __init__(self, seconds):
-        self.seconds, self.in_the_middle = seconds, lambda: None
+        self.seconds, self.in_the_middle, self.guards = seconds, lambda: None, []
 
     def __enter__(self):
         import MedColorLib
@@ -23,6 +23,7 @@ class StandIn:
 
         self._patches = [
             unittest.mock.patch.object(MedColorLib, "colorize", self),
+            unittest.mock.patch.object(MedColorLib, "colorize_time_points", self.time_points),
             unittest.mock.patch.object(dependencies, "ensure", lambda: None),
         ]
         for patch in self._patches:
@@ -33,12 +34,17 @@ class StandIn:
         for patch in self._patches:
             patch.stop()
 
+    def time_points(self, volumes, references, settings, progress, cancelled, guard):
+        for volume in volumes:
+            yield self(volume, references, settings, progress, cancelled, guard)
+
     def __call__(self, volume, references, settings=None, progress=None, cancelled=None, guard=None):
         import numpy as np
 
         from MedColorLib.errors import Cancelled
         from MedColorLib.volume import ColorVolume
 
+        self.guards.append(guard)
         for step in range(10):
             if progress:
                 progress(step / 10, "stand-in")
@@ -89,6 +95,14 @@ def grey_node(shape=(6, 8, 10)):
     return slicer.util.addVolumeFromArray(voxels, name="grey")
 
 
+def half_node(side, size=48, radius=18):
+    """A grey ball of which one half is there: 0 the left one, 1 the right one."""
+    import numpy as np
+
+    shown = (_ball(size, radius) == (LEFT, RIGHT)[side]).all(axis=3)
+    return slicer.util.addVolumeFromArray(np.where(shown, 100, 0).astype(np.int16), name=f"half {side}")
+
+
 def picture_node():
     import numpy as np
 
@@ -97,6 +111,13 @@ def picture_node():
 
 
 def two_colors(size=48, radius=18):
+    node = slicer.util.addVolumeFromArray(_ball(size, radius), name="ball", nodeClassName="vtkMRMLVectorVolumeNode")
+    node.SetVoxelVectorType(node.VoxelVectorTypeColorRGB)
+    return node
+
+
+def _ball(size, radius):
+    """(k, j, i, 3) uint8: `LEFT` where i is low, `RIGHT` where it is high."""
     import numpy as np
 
     center = (size - 1) / 2
@@ -105,9 +126,7 @@ def two_colors(size=48, radius=18):
     rgb = np.zeros((size, size, size, 3), np.uint8)
     rgb[inside & (i < center)] = LEFT
     rgb[inside & (i > center)] = RIGHT
-    node = slicer.util.addVolumeFromArray(rgb, name="ball", nodeClassName="vtkMRMLVectorVolumeNode")
-    node.SetVoxelVectorType(node.VoxelVectorTypeColorRGB)
-    return node
+    return rgb
 
 
 def opacity_curve_of(display):
@@ -137,6 +156,16 @@ def picture_of(view, volume_node):
     window.GetRenderers().GetFirstRenderer().ResetCameraClippingRange()
     slicer.app.processEvents()  # a window that was just shown, or laid out anew, is not drawn before this
     return picture_now(view)
+
+
+def settle(view, seconds=0.3):
+    """Wait until a view has kept its size for a while: another module's panel may have widened the window."""
+    size, since = None, time.monotonic()
+    while time.monotonic() - since < seconds:
+        slicer.app.processEvents()
+        if (view.width, view.height) != size:
+            size, since = (view.width, view.height), time.monotonic()
+        time.sleep(0.01)
 
 
 def picture_now(view):

@@ -106,6 +106,18 @@ def test_cut_faces_the_first_camera_where_there_is_no_window(camera):
     assert three_d_views.camera_of(slicer.mrmlScene, None) is first
 
 
+def test_shadows_that_know_no_volumes_are_left_out(put_views, monkeypatch):
+    """VTK 9.1 draws the scene without the volume then."""
+    from MedColorSlicer import light
+
+    (view,) = put_views(view_widget("1"))
+    monkeypatch.setattr(light.vtk, "vtkSSAOPass", type("vtkSSAOPass", (), {}))
+    light.switch(slicer.mrmlScene, True)
+    assert light.is_on(slicer.mrmlScene)
+    assert view.mrmlViewNode().GetVolumeRenderingSurfaceSmoothing()
+    assert not view.mrmlViewNode().GetShadowsVisibility()
+
+
 @pytest.mark.parametrize("realistic", [True, False])
 def test_views_that_a_layout_makes_later_take_the_light_of_the_others(put_views, realistic):
     """The grey half of a comparison is lit as the coloured one."""
