@@ -72,7 +72,7 @@ class NodeCases:
         view = self._three_d_view()
         settle(view)
         result = two_colors()
-        result.SetSpacing(2.0, 2.0, 2.0)  # Slicer saves no unit of opacity, which is 1 mm by itself
+        result.SetSpacing(2.0, 2.0, 2.0)
         logic().showVolumeRendering(result, opacity=0.7)
         logic().setLight(True)
         slicer.mrmlScene.GetNodeByID("vtkMRMLSliceNodeRed").SetSliceOffset(48.0)
