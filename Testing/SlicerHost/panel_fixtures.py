@@ -37,7 +37,7 @@ def open_panel(module, qt):
     parent.setMRMLScene(slicer.mrmlScene)
     widget = module.MedColorWidget(parent)
     widget.setup()
-    representation = types.SimpleNamespace(self=lambda: widget)
+    representation = types.SimpleNamespace(self=lambda: widget, isEntered=True, enter=widget.enter, exit=widget.exit)
     slicer.modules.medcolor = types.SimpleNamespace(widgetRepresentation=lambda: representation)
     return widget
 
