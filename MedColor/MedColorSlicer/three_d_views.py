@@ -36,6 +36,15 @@ def camera_of(scene, view):
     return next(iter(own or cameras), None)
 
 
+def boxes_around_what_is_shown() -> None:
+    """The box and the letters of every view where Slicer's own centring puts them; it turns the camera, too.
+
+    A view draws them anew for nothing else: they would stay where an earlier volume was, or the origin.
+    """
+    for view in all_views():
+        view.resetFocalPoint()
+
+
 def render_again() -> None:
     """Draw every view anew: those that were hidden meanwhile do not notice what changed."""
     for view in all_views():

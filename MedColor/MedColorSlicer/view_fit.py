@@ -55,6 +55,7 @@ def fit_slices(scene, bounds) -> None:
 
 def look(scene, bounds, direction: str = "front") -> None:
     """The cameras of all 3-D views at a body, from one of `DIRECTIONS`."""
+    three_d_views.boxes_around_what_is_shown()
     towards, up = DIRECTIONS[direction]
     length = math.sqrt(sum(part * part for part in towards))
     centre = [(bounds[2 * axis] + bounds[2 * axis + 1]) / 2 for axis in range(3)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import types
 
 import mrml
 import numpy as np

@@ -130,3 +130,18 @@ def test_views_that_a_layout_makes_later_take_the_light_of_the_others(put_views,
     nodes = [view.mrmlViewNode() for view in (first, second)]
     for ask in ("GetShadowsVisibility", "GetVolumeRenderingSurfaceSmoothing"):
         assert [getattr(node, ask)() for node in nodes] == [realistic, realistic], ask
+
+
+def test_box_and_letters_of_the_views_come_along_before_the_camera_is_set(scene, put_views):
+    """Slicer draws them anew where its views are centred, which moves the camera."""
+    from MedColorSlicer import view_fit
+
+    camera, centred = scene.AddNewNodeByClass("vtkMRMLCameraNode"), []
+
+    def centre(name):
+        centred.append(name)
+        camera.SetFocalPoint(1, 2, 3)
+
+    put_views(*(view_widget(name, resetFocalPoint=lambda name=name: centre(name)) for name in "12"))
+    view_fit.look(scene, [0.0, 20.0, 0.0, 40.0, 0.0, 60.0])
+    assert centred == ["1", "2"] and camera.GetFocalPoint() == (10, 20, 30)

@@ -214,6 +214,7 @@ def view_widget(name="1", visible=True, mapped=None, **more):
     view = types.SimpleNamespace(visible=visible, drawn=[], asked=[], mrmlViewNode=lambda: node)
     view.forceRender = lambda: view.drawn.append(name) if view.visible else None
     view.scheduleRender = lambda: view.asked.append(name)
+    view.resetFocalPoint = lambda: None
     view.displayableManagerByClassName = lambda _name: None
     vars(view).update(more)
     return view
