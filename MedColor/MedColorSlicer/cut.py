@@ -158,17 +158,24 @@ class SliceFollower(VTKObservationMixin):
 
 
 def show_view(volume_node, name: str) -> None:
-    """One of three views: "front" uncut, "half" the left half taken away, "open" the upper part taken away."""
+    """One of three views: "front" uncut, "half" the left half taken away, "open" the upper part taken away.
+
+    Cut faces are to be seen: with a haze before them the slider goes up to what pictures have.
+    """
     bounds = view_fit.body_bounds(volume_node)
     display = rendering.display_node_of(volume_node)
     if bounds is None or display is None:
         return
     import numpy as np
 
+    from MedColorLib.rendering import presets
+
     view_fit.look(volume_node.GetScene(), bounds, name)
     if name == "front":
         set_cut(volume_node, "none")
         return
+    if rendering.opacity_of(volume_node) < presets.PICTURE_OPACITY:
+        rendering.set_opacity(volume_node, presets.PICTURE_OPACITY)
     middle = [(bounds[2 * axis] + bounds[2 * axis + 1]) / 2 for axis in range(3)]
     low, high = list(bounds[::2]), list(bounds[1::2])
     if name == "half":

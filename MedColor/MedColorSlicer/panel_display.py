@@ -175,8 +175,10 @@ class DisplayPart:
             cut.set_cut(node, cut.CUTS[index])
 
     def _onView(self, name: str) -> None:
-        if self._node() is not None:
-            cut.show_view(self._node(), name)
+        node, p = self._node(), self.panel.parameters
+        if node is not None and p is not None:
+            cut.show_view(node, name)
+            p.opacity = rendering.opacity_of(node)
             self.update()
 
     def _onReset(self, _checked=False) -> None:

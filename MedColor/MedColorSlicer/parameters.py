@@ -66,7 +66,7 @@ class MedColorParameterNode:
     outputVolume: vtkMRMLVectorVolumeNode
     confidence: bool = False
     show3D: bool = True  # whether Apply shows the result in 3-D views, too
-    opacity: Annotated[float, WithinRange(0.0, 1.0)] = 0.5
+    opacity: Annotated[float, WithinRange(0.0, 1.0)] = 0.7
     fade: Annotated[float, WithinRange(0.0, 1.0)] = 1.0
 
 

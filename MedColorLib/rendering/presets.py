@@ -22,7 +22,8 @@ SPECULAR_POWER = 10.0
 # One value at any gradient: interfaces between soft tissues have small gradients, and a curve would hide them.
 GRADIENT_OPACITY = 1.0
 
-DEFAULT_OPACITY = 0.5
+# Where skin begins to be a surface and the skull still shows through it: at 0.5 a head without a bright skull, as in MR, is fog.
+DEFAULT_OPACITY = 0.7
 PICTURE_OPACITY = 0.9  # of pictures to keep: skin and cut faces, not a haze
 
 # Alpha (0..255) up to which a voxel counts as air, and from which a surface counts as tissue. Noise in air stays below

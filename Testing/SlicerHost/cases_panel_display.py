@@ -92,8 +92,13 @@ def test_cut_and_views_from_the_panel(ready, red_view):
         display.GetROINode().GetRASBounds(bounds)
         faces.append(bounds[5])
     assert faces == pytest.approx([4.0, 11.0])
+    assert ready.ui.opacitySlider.value == 0.7
     ready.ui.openViewButton.click()
     assert ready.ui.cutComboBox.currentIndex == 2
+    assert ready.ui.opacitySlider.value == rendering.opacity_of(result) == 0.9, "no haze before the cut face"
+    ready.ui.opacitySlider.value = 0.95
+    ready.ui.halfViewButton.click()
+    assert ready.ui.opacitySlider.value == 0.95
     ready.ui.frontViewButton.click()
     assert ready.ui.cutComboBox.currentIndex == 0
     assert not display.GetCroppingEnabled()
