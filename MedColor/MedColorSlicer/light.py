@@ -7,6 +7,7 @@ lighting of MedColor's volumes is raised by as much.
 
 from __future__ import annotations
 
+import logging
 import time
 
 import slicer
@@ -18,6 +19,7 @@ _ATTRIBUTE = "MedColor.Light"  # on a view node: "realistic" or "plain"; absent:
 _PATIENCE_SECONDS = 0.1  # a view that takes longer to draw stays with the plain lamp unless asked
 _SCATTERING, _REACH = 0.4, 0.1
 _RAISED = 1.1  # ambient and diffuse light, to make up for _SCATTERING
+_WITHOUT_SHADOWS = "realistic light without ambient shadows: VTK %s draws no volumes beside them; jittered rays remain"
 _MANAGER = "vtkMRMLVolumeRenderingDisplayableManager"
 
 
@@ -35,6 +37,8 @@ def is_on(scene) -> bool:
 
 def switch(scene, realistic: bool) -> None:
     """Realistic or plain light in all 3-D views."""
+    if realistic and not _shadows_know_volumes():
+        logging.info(_WITHOUT_SHADOWS, vtk.vtkVersion.GetVTKVersion())
     _light(scene, views(scene), realistic)
 
 
