@@ -1,7 +1,7 @@
 """Pictures to look at, without Slicer:
 
-    python Testing/SlicerHost/screenshot.py panel Resources/Screenshots/panel.png
-    python Testing/SlicerHost/screenshot.py scene Resources/Screenshots/scene.png [volume.nrrd picture.png [preset]]
+    python Testing/SlicerHost/screenshot.py panel panel.png
+    python Testing/SlicerHost/screenshot.py scene scene.png [volume.nrrd picture.png [preset]]
 
 `panel` draws the module's panel on PySide6 dressed as Slicer's Qt; `scene` draws Slicer's own 3-D views of the grey and
 the coloured volume. Without files both use the phantom that MedColor makes itself.
