@@ -55,8 +55,10 @@ def _light(scene, some_views, realistic: bool) -> None:
             view.SetAttribute(_ATTRIBUTE, "realistic" if realistic else "plain")
             if hasattr(view, "SetVolumeRenderingSurfaceSmoothing"):  # jittered rays: no wood grain on flat surfaces
                 view.SetVolumeRenderingSurfaceSmoothing(bool(realistic))
-            if hasattr(view, "SetShadowsVisibility") and _shadows_know_volumes():
-                view.SetShadowsVisibility(bool(realistic))
+            if hasattr(
+                view, "SetShadowsVisibility"
+            ):  # off where a scene of a newer Slicer had them and none could be seen
+                view.SetShadowsVisibility(bool(realistic) and _shadows_know_volumes())
                 view.SetAmbientShadowsSizeScale(0.3)
             if hasattr(view, "SetAmbientShadowsVolumeOpacityThreshold"):
                 view.SetAmbientShadowsVolumeOpacityThreshold(0.25)

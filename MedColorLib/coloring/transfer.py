@@ -249,9 +249,8 @@ def combine(
     """X + S(w (T' - X)) / S(w) at full resolution: (n, 3) L* a* b* of the mask's pixels, row by row.
 
     Beside the regression the remainder counts as far as the matches around can be trusted, min(S(w), 1) times; where a grey is
-    one tissue, with natural luminance, (OWN_SHARE min(S(w), 1))^2 times that: what matches that find no tissue say of
-    single places is blotches. S runs at half the grid's resolution: the same
-    error on the pairs as at full resolution.
+    one tissue, with natural luminance, (OWN_SHARE min(S(w), 1))^2 times that: what matches that find no tissue say of single
+    places is blotches. S runs at half the grid's resolution: the same error on the pairs as at full resolution.
 
     Args:
         grey, mask: as for `transfer`. relation, rest: as for and of `remainder`. within: see `SliceMatch`.

@@ -19,7 +19,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..volume import Volume
-from .choice import Choice, chosen_note, pick
+from .choice import Choice, chosen_note, pick, time_points
 from .dicom_file import DICOM_ENDINGS, is_dicom, quiet_pydicom
 from .dicom_grid import Grid, grid_of, resampled
 from .dicom_header import Frame, read_frames
@@ -27,7 +27,7 @@ from .dicom_pixels import value_type, values
 from .dicom_volumes import Stack, find_stacks
 from .voxel_data import check_size, has_temporary_room, natural_key, temporarily_mapped
 
-__all__ = ["DICOM_ENDINGS", "IN_MEMORY", "dicom_choices", "is_dicom", "read_dicom"]
+__all__ = ["DICOM_ENDINGS", "IN_MEMORY", "dicom_choices", "is_dicom", "read_dicom", "read_dicom_points"]
 IN_MEMORY = 1 << 30  # bytes of voxels; a series of more is decoded into a temporary file
 
 
@@ -48,9 +48,27 @@ def read_dicom(files: Sequence[Path], max_bytes: int, wanted: Path | None = None
         stacks, notes = _found(files, wanted)
         choices = [_choice(stack) for stack in stacks]
         index = pick(choices, number)
-        stack = stacks[index]
         notes += chosen_note(choices, index, number)
-        return _volume(stack, max_bytes, notes)
+        return _volume(stacks[index], max_bytes, notes)
+
+
+def read_dicom_points(
+    files: Sequence[Path], max_bytes: int, wanted: Path | None = None, number: int | None = None
+) -> list[Volume]:
+    """Read all time points of a series: of the largest volume, that of the file `wanted`, or that of `number`.
+
+    The headers are read once. Args and errors as for `read_dicom`; `max_bytes` of all together, and InputError, too, where
+    there is but one time point.
+    """
+    with quiet_pydicom():
+        stacks, notes = _found(files, None)
+        own = [s for s in stacks if wanted is None or any(frame.path == wanted for frame in s.frames)]
+        chosen = stacks.index(own[pick([_choice(stack) for stack in own], number)]) + 1
+        found: list[Volume] = []
+        for point in time_points([_choice(stack) for stack in stacks], chosen):
+            room = max_bytes - sum(one.array.nbytes for one in found)
+            found.append(_volume(stacks[point - 1], room, list(notes)))
+        return found
 
 
 def dicom_choices(files: Sequence[Path], wanted: Path | None = None) -> tuple[list[Choice], list[str]]:

@@ -21,7 +21,7 @@ from ..errors import InputError, OutputError
 from ..output import COLOR_ENDINGS, atomic_output, check_output_path
 from ..volume import ColorVolume, Volume
 from .choice import Choice, chosen_note, time_points
-from .dicom import DICOM_ENDINGS, dicom_choices, is_dicom, read_dicom
+from .dicom import DICOM_ENDINGS, dicom_choices, is_dicom, read_dicom, read_dicom_points
 from .folders import FolderContents, files_below, files_in, look_into
 from .metaimage import meta_choices, meta_fields, read_meta_image
 from .nifti import (
@@ -85,16 +85,23 @@ def read_time_points(path: str | os.PathLike, *, max_bytes: int = MAX_BYTES, vol
     Raises:
         InputError: as `read_volume`, and where there is but one time point.
     """
+    with _input_errors(path) as source:
+        if source.is_dir():
+            found = _look_into(source)
+            if found.kind == "dicom":
+                points = read_dicom_points(found.files, max_bytes, number=volume)
+                return [replace(point, notes=(*found.notes, *point.notes)) for point in points]
+        elif _reader(source) is _read_single_dicom:
+            return read_dicom_points(_dicom_beside(source), max_bytes, source, volume)
     choices, _ = list_volumes(path)
     with _input_errors(path):
         numbers = time_points(choices, volume)
-    found: list[Volume] = []
+    points = []
     for number in numbers:
-        room = max_bytes - sum(one.array.nbytes for one in found)
-        one = read_volume(path, max_bytes=room, volume=number)
+        one = read_volume(path, max_bytes=max_bytes - sum(point.array.nbytes for point in points), volume=number)
         left_out = chosen_note(choices, number - 1, number)  # which is not so here
-        found.append(replace(one, notes=tuple(note for note in one.notes if note not in left_out)))
-    return found
+        points.append(replace(one, notes=tuple(note for note in one.notes if note not in left_out)))
+    return points
 
 
 def list_volumes(path: str | os.PathLike) -> tuple[list[Choice], tuple[str, ...]]:

@@ -141,7 +141,8 @@ def _tiff_stacks(path: Path) -> list[TiffStack]:
 
 def _choice(stack: _Stack) -> Choice:
     spacing = _known(stack.spacing_mm) if any(stack.spacing_mm) else ()
-    return Choice(stack.label or "pictures", (*stack.size, stack.slices), spacing)
+    label = stack.label or "pictures"
+    return Choice(label, (*stack.size, stack.slices), spacing, series=label)  # stacks of pictures say nothing of time
 
 
 def _known(spacing: tuple[float | None, ...]) -> tuple[float, float, float]:

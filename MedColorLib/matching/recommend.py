@@ -121,19 +121,14 @@ class Recommender:
 
     def _greys(self, volume: Volume, slice_index: int | None) -> list[np.ndarray]:
         """Grey slices on the grid: the one asked for, or seven of the body."""
-        from ..scan.air import in_hounsfield
-        from ..scan.intensity import choose_window, of_hounsfield
-        from ..scan.slices import sample_slices, slice_on_grid
+        from ..scan.slices import sample_slices, slice_on_grid, window_of
 
         view, body = self._body_of(volume)
         if slice_index is not None and slice_index not in body.slices:
             found = f"{body.slices[0]}:{body.slices[-1] + 1}"
             raise InputError(f"slice {slice_index}: no body there; body was found in {found}")
         chosen = sample_slices(list(body.slices)) if slice_index is None else [slice_index]
-        masks = np.stack([body.plane(k) > 0.5 for k in chosen])
-        window = choose_window(view[chosen], masks if masks.any() else None, proposed=volume.window)
-        if in_hounsfield(view):
-            window = of_hounsfield(window)
+        window = window_of(view, body, chosen, proposed=volume.window)
         return [slice_on_grid(view, body, window, choose_grid(_GRID_PX), k)[0] for k in chosen]
 
     def _body_of(self, volume: Volume):

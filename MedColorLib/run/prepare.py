@@ -16,12 +16,11 @@ from ..plan import LeftOut, Plan
 from ..progress import check
 from ..references.loading import describe_references, load_references
 from ..references.photograph import Reference
-from ..scan.air import in_hounsfield
 from ..scan.body import Body
 from ..scan.grid import Grid, choose_grid
-from ..scan.intensity import Window, check_values, choose_window, of_hounsfield
+from ..scan.intensity import Window, check_values
 from ..scan.planes import PlaneBlocks, planes_of
-from ..scan.slices import SliceOrder, sample_slices, slice_order
+from ..scan.slices import SliceOrder, sample_slices, slice_order, window_of
 from ..volume import Volume
 from .patient import choose_body, describe_body
 
@@ -121,10 +120,7 @@ def _chosen_slices(body: Body, settings: Settings, order: SliceOrder, shape: tup
 
 
 def _window(view, body, chosen, volume, settings) -> Window:
-    sample = sample_slices(chosen, 24)
-    masks = np.stack([body.plane(k) > 0.5 for k in sample])
-    window = choose_window(view[sample], masks if masks.any() else None, settings.window, volume.window)
-    return of_hounsfield(window) if in_hounsfield(view) else window
+    return window_of(view, body, sample_slices(chosen, 24), settings.window, volume.window)
 
 
 def _repeats(views: Sequence[np.ndarray], chosen: list[int]) -> dict[int, int]:

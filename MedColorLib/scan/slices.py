@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from .air import in_hounsfield
 from .grid import Grid, to_grid
-from .intensity import Window, apply_window
+from .intensity import Window, apply_window, choose_window, of_hounsfield
 
 if TYPE_CHECKING:
     from .body import Body
@@ -69,6 +70,23 @@ def slice_order(ijk_to_ras: np.ndarray, plane: str = "transverse") -> SliceOrder
     stack, row, column = axes
     flips = (by_array_axis[2, stack] < 0, by_array_axis[1, row] > 0, by_array_axis[0, column] > 0)
     return SliceOrder(axes, tuple(bool(f) for f in flips))
+
+
+def window_of(
+    view: np.ndarray,
+    body: Body,
+    ks: Sequence[int],
+    given: tuple[float, float] | None = None,
+    proposed: tuple[float, float] | None = None,
+) -> Window:
+    """The window of a scan, from what the body holds in some slices; with tones where the values are Hounsfield units.
+
+    Args:
+        view: (slice, row, column) scalars, as `SliceOrder.view` gives them. Others and errors as of `intensity.choose_window`.
+    """
+    masks = np.stack([body.plane(k) > 0.5 for k in ks])
+    window = choose_window(view[ks], masks if masks.any() else None, given, proposed)
+    return of_hounsfield(window) if in_hounsfield(view) else window
 
 
 def slice_in_box(view: np.ndarray, body: Body, window: Window, k: int) -> tuple[np.ndarray, np.ndarray]:

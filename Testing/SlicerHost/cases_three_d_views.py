@@ -112,6 +112,7 @@ def test_shadows_that_know_no_volumes_are_left_out(put_views, monkeypatch):
 
     (view,) = put_views(view_widget("1"))
     monkeypatch.setattr(light.vtk, "vtkSSAOPass", type("vtkSSAOPass", (), {}))
+    view.mrmlViewNode().SetShadowsVisibility(True)  # as a scene of a newer Slicer has it
     light.switch(slicer.mrmlScene, True)
     assert light.is_on(slicer.mrmlScene)
     assert view.mrmlViewNode().GetVolumeRenderingSurfaceSmoothing()

@@ -36,7 +36,7 @@ def test_a_file_for_each(files, ct, capsys):
     Path("out_2.nrrd").write_bytes(b"former")
     wanted = ("-o", "out.nrrd", "--report", "said.json", "--confidence", "sure.nii.gz")
     assert main([*LINE, *wanted]) == 0
-    assert files() == {f"{name}" for n in "123" for name in (f"out_{n}.nrrd", f"said_{n}.json", f"sure_{n}.nii.gz")}
+    assert files() == {name for n in "123" for name in (f"out_{n}.nrrd", f"said_{n}.json", f"sure_{n}.nii.gz")}
     said = capsys.readouterr()
     assert "out_2.nrrd: the earlier file of this name was replaced" in said.err and "left out" not in said.err
     assert "out_2.nrrd: 2 of 3, takes the matches of time point 1" in said.out
@@ -74,6 +74,18 @@ def test_broken_off_nothing_is_left(files, monkeypatch, capsys):
     assert main([*LINE, "-o", "out.nrrd", "--report", "said.json"]) == 130
     assert files() == {"out_1.nrrd"} and Path("out_1.nrrd").read_bytes() == b"former"
     assert capsys.readouterr().err == "medcolor: interrupted; nothing was written\n"
+
+
+def test_stacks_of_pictures_are_no_time_points(files, capsys):
+    """Channels, or two stacks in one folder: nothing says that they differ in time."""
+    Path("pictures").mkdir()
+    for name in ("one", "two"):
+        for n in range(5):
+            cv2.imwrite(f"pictures/{name}_{n}.png", np.full((20, 20), 40 * n, np.uint8))
+    assert main(["colorize", "pictures", *LINE[2:], "-o", "out.nrrd"]) == 2
+    assert "has no other time points" in capsys.readouterr().err and not files() - {"pictures"}
+    assert main([*LINE, "--volume", "9", "-o", "out.nrrd"]) == 2
+    assert "volume 9 is not there: there are volumes 1 to 3" in capsys.readouterr().err
 
 
 def test_no_input_is_replaced(files, ct, capsys):

@@ -11,6 +11,7 @@ from pydicom.dataset import Dataset
 from pydicom.uid import generate_uid
 
 from MedColorLib.errors import InputError
+from MedColorLib.io import dicom
 from MedColorLib.io.files import list_volumes, read_time_points, read_volume
 
 A = planes()
@@ -60,12 +61,17 @@ def is_either(folder: Path, words: str, first: np.ndarray = A, second: np.ndarra
     ],
 )
 def test_volumes_at_the_same_places_with_the_same_numbers(
-    trait: str, values: tuple, words: str, tmp_path: Path
+    trait: str, values: tuple, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     both(tmp_path, {trait: values[0]}, {trait: values[1]})
     is_either(tmp_path, words)
     if trait in OF_TIME:
-        np.testing.assert_array_equal([point.array for point in read_time_points(tmp_path)], [A, B])
+        read, real = [], dicom.read_frames
+        monkeypatch.setattr(dicom, "read_frames", lambda file: read.append(file) or real(file))
+        for source in (tmp_path, tmp_path / "b07.dcm"):
+            np.testing.assert_array_equal([point.array for point in read_time_points(source)], [A, B])
+        assert len(read) == 2 * len(set(read)), "each header once"
+        assert not any("left out" in note for point in read_time_points(tmp_path) for note in point.notes)
     else:
         with pytest.raises(InputError, match="has no other time points"):
             read_time_points(tmp_path)
